@@ -107,12 +107,12 @@ def test_a_first_look_at_a_model_that_does_not_converge_is_short_and_about_as_go
     problem, points = started_problem(make_model("bouc-wen+relaxation"), Dataset((record,)))
     start = np.asarray(problem.space.unconstrained(problem.space.vector(points[0])))[None]
     whole, look = (estimator.estimate(problem, start) for estimator in (LeastSquares(), LeastSquares().quick()))
-    assert look.evaluations < 0.75 * whole.evaluations
+    assert look.evaluations < 0.5 * whole.evaluations
     assert whole.cost * (1 - 1e-6) < look.cost < 1.01 * whole.cost
     error = float(np.sqrt(2 * look.cost / 300) * problem.scales.y)
     near, far = (LeastSquares().quick().up_to(share * error).estimate(problem, start) for share in (0.6, 0.4))
     assert near.evaluations == look.evaluations
-    assert far.evaluations < 0.5 * look.evaluations
+    assert far.evaluations <= 0.5 * look.evaluations
     assert look.cost * (1 - 1e-6) < far.cost < 1.1 * look.cost
 
 

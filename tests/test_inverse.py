@@ -285,3 +285,17 @@ def test_bad_input_says_what_to_do() -> None:
         invert(PLAYS, [0.1, 0.2], rest=0.0, resume=invert(PLAYS, [0.1]).state)
     with pytest.raises(DataError, match="sample faster"):
         lead(np.zeros(10), 0.1, omega=100.0, zeta=0.1)
+
+
+def test_a_search_that_converges_is_not_sent_back_to_the_middle() -> None:
+    """The sixth trial of a search by Newton steps was the middle of the bracket, however near the root was."""
+    trials = list[float]()
+
+    def root_of_a_root(x: jax.Array) -> jax.Array:
+        jax.debug.callback(lambda value: trials.append(float(value)), x)
+        return jnp.sqrt(x + 1e-4) - 0.3 + 0.01 * x
+
+    found = solve_rising(root_of_a_root, jnp.asarray(0.0), jnp.asarray(0.0), jnp.asarray(20.0))
+    jax.effects_barrier()
+    assert float(root_of_a_root(found.x)) == pytest.approx(0.0, abs=1e-14)
+    assert len(trials) < 12

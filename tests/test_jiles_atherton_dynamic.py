@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import hystfit as hf
 from hystfit.fitting.comparison.candidates import candidates
+from hystfit.models import jiles_atherton_dynamic
 from hystfit.models.jiles_atherton_dynamic import JilesAthertonDynamic
 from hystfit.models.jiles_atherton_field import JilesAthertonField
 from hystfit.models.rate import Excess, Viscous
@@ -136,3 +137,21 @@ def test_a_fit_of_three_frequencies_separates_the_losses_from_the_pinning() -> N
     for name, true in truth.items():
         row = next(p for p in result.parameters if p.name == name)
         assert abs(row.value - true) < 4 * row.stderr < 0.2 * true, name
+
+
+def test_records_of_any_length_start_by_one_program(monkeypatch):
+    """Each length was compiled anew: 2 s for each of 53 records."""
+    shapes = set[tuple[int, ...]]()
+    shifted = jiles_atherton_dynamic._shifted
+    monkeypatch.setattr(
+        jiles_atherton_dynamic,
+        "_shifted",
+        lambda plain, grid, u, rate: shapes.add(u.shape) or shifted(plain, grid, u, rate),
+    )
+    records = []
+    for number, samples in enumerate((150, 170, 190)):
+        t = np.linspace(0.0, 1.0, samples)
+        u = np.sin(4 * np.pi * t)
+        records.append(hf.Record(u=u, y=np.tanh(2 * u), t=t, name=f"run {number}"))
+    JilesAthertonDynamic().start(records)
+    assert len(shapes) == 1

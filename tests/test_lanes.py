@@ -14,6 +14,7 @@ from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.solvers import lanes
 from hystfit.fitting.solvers.lanes import Stack, descend_lanes
+from hystfit.fitting.solvers.levenberg_marquardt import between_bounds
 from hystfit.fitting.solvers.multistart import starting_vectors
 from hystfit.inference.normal import normal_at, normal_in_scan, normal_on_host, suits_one_scan
 from hystfit.inference.problem import Problem
@@ -237,3 +238,42 @@ def test_no_step_is_taken_blindly_along_a_direction_that_noise_alone_determines(
     fit = hf.fit(hf.BoucWen(scheme="exact"), hf.Record(u=u, y=y), noise="iid")
     line = y - np.polyval(np.polyfit(u, y, 1), u)
     assert fit.train.rmse < 1.01 * np.sqrt(np.mean(line**2))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_parameter_at_its_bound_does_not_slow_down_a_descent(seed: int) -> None:
+    """A saturating curve without a loop takes the exponents of a loop to a bound, which is at infinity in the coordinates of the steps."""
+    t = 0.02 * np.arange(400)
+    u = np.sin(8 * t) * (0.5 + 0.1 * t)
+    y = np.tanh(2 * u) + 0.3 * u + 0.002 * np.random.default_rng(seed).normal(size=400)
+    posed = Problem(hf.BoucWen(c=1.1, mu=0.5, tau=2.0, rho=0.4), hf.Record(u=u, y=y))
+    space = posed.space
+    x = space.vector(posed.model)
+    start = np.array(space.unconstrained(x))[None]
+    ends = descend_lanes(Stack.of([posed.objective]), np.zeros(1, int), start, gain=1e-10, steps=300)
+    assert ends.steps[0] < 150
+    within = scipy.optimize.least_squares(posed.misfit, x, bounds=(space.lower, space.upper), max_nfev=300)
+    assert ends.cost[0] < within.cost * (1 + 1e-4)
+
+
+def test_steps_between_bounds_are_the_minimum_there() -> None:
+    """By trying which of four parameters are at which bound."""
+    rng, alike = np.random.default_rng(0), 0
+    for _ in range(200):
+        J, r = rng.normal(size=(12, 4)), 3 * rng.normal(size=12)
+        low, high = -rng.uniform(0.05, 1.0, 4), rng.uniform(0.05, 1.0, 4)
+        low[3], high[3] = -np.inf, np.inf
+
+        def solve(ends: np.ndarray, free: np.ndarray, J: np.ndarray = J, r: np.ndarray = r) -> np.ndarray:
+            step = np.where(free, 0.0, ends)
+            if free.any():
+                step[free] = np.linalg.lstsq(J[:, free], -(r + J @ step))[0]
+            return step
+
+        step, ended = between_bounds(solve, lambda step, J=J, r=r: J.T @ (r + J @ step), low, high, np)
+        least = scipy.optimize.lsq_linear(J, -r, (low, high), method="bvls")
+        if ((step >= low) & (step <= high)).all():
+            np.testing.assert_allclose(step, least.x, atol=1e-9)
+            np.testing.assert_array_equal(ended, least.active_mask != 0)
+            alike += 1
+    assert alike > 190

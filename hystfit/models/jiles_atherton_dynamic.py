@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from hystfit.data.batch import in_room
 from hystfit.data.record import Record
 from hystfit.models.jiles_atherton import STEEPEST, JilesAtherton, JilesAthertonStep, search_in_c
 from hystfit.models.shared.bracketed import Root, implicit_root
@@ -109,7 +110,12 @@ class JilesAthertonDynamic(JilesAtherton):
         half = input_range(records).half
         grid = half * np.array(list(itertools.product(_SHARES, _SHARES))) / [fastest, fastest**0.5]
         plain = dataclasses.replace(law, Ms=1.0, slope=0.0, offset=0.0, e=_ROUNDED * fastest)
-        runs = [np.asarray(_shifted(plain, grid, r.u, rate))[:, r.used] for r, rate in zip(short, rates, strict=True)]
+        # Records of any length share one program.
+        inputs = [(in_room(r.u, hold=True), in_room(rate)) for r, rate in zip(short, rates, strict=True)]
+        runs = [
+            np.asarray(_shifted(plain, grid, *one))[:, : len(r)][:, r.used]
+            for one, r in zip(inputs, short, strict=True)
+        ]
         u, y = used_samples(short)
         best = best_of_grid(np.concatenate(runs, axis=1).T, offset_columns(short), y - float(law.slope) * u)
         eddy, excess = grid[best.which].tolist()

@@ -28,7 +28,6 @@ from hystfit.inference.normal import (
     suits_one_scan,
 )
 from hystfit.inference.objective import Objective
-from hystfit.params.coordinates import REAL
 from hystfit.params.host_arrays import compiled
 
 MANY = 1024  # lanes from which a GPU saves more time than its programs and copies cost
@@ -86,9 +85,9 @@ class Stack(eqx.Module):
         return next((len(leaf) for leaf, own in zip(leaves, self.own, strict=True) if own), 1)
 
     @property
-    def bounded(self) -> np.ndarray:
-        """Which parameters have bounds, shape (p,)."""
-        return np.array(self.objective.coordinates.kinds) != REAL
+    def kinds(self) -> tuple[int, ...]:
+        """Of the bounds of the parameters."""
+        return self.objective.coordinates.kinds
 
 
 class Ends(NamedTuple):
@@ -172,7 +171,7 @@ def _on_host(
     stack: Stack, records: np.ndarray, lane: Lane, gain: Any, steps: int, many: bool
 ) -> tuple[Lane, np.ndarray]:
     """Lanes at their ends, and which were given up. Arrays are padded to a chunk, so that one program serves any number of lanes."""
-    room_for, samples, bounded = _chunk(stack.samples, many), stack.samples, stack.bounded
+    room_for, samples, kinds = _chunk(stack.samples, many), stack.samples, stack.kinds
     linearized = _linearized_beside if many else _linearized
     alone = few_runs() and not many and not any(stack.own)  # by the program that other uses need too
     padded = lambda rows: np.concatenate([rows, np.zeros((room_for - len(rows), *rows.shape[1:]), rows.dtype)])
@@ -190,7 +189,7 @@ def _on_host(
             where, points = padded(place[going]), padded(lane.trial[going])
             new = Normal(*_first(linearized(data, where, points, np.int64(going.size)), going.size))
         with np.errstate(all="ignore"):  # from simulations that are not finite, whose steps are rejected
-            lane.put(going, advanced(lane.rows(going), new, gain, samples, bounded, np))
+            lane.put(going, advanced(lane.rows(going), new, gain, samples, kinds, np))
         given_up |= beaten(lane, records)
         going = np.flatnonzero(~lane.ended & ~given_up & (lane.steps < steps))
     return lane, given_up
@@ -279,11 +278,11 @@ def _advance_all(stack: Stack, records: Array, lane: Lane, gain: Array, most: in
     """All lanes after at most `most` steps."""
     in_scan = functools.partial(normal_in_scan, unroll=unroll)
     normal = in_scan if suits_one_scan(stack.at(0)) else normal_at
-    samples, bounded = stack.samples, stack.bounded
+    samples, kinds = stack.samples, stack.kinds
 
     def some_steps(objective: Objective, lane: Lane) -> Lane:
         end = lane.steps + most
-        once = lambda lane: advanced(lane, normal(objective, lane.trial), gain, samples, bounded, jnp)
+        once = lambda lane: advanced(lane, normal(objective, lane.trial), gain, samples, kinds, jnp)
         return jax.lax.while_loop(lambda lane: ~lane.ended & (lane.steps < end), once, lane)
 
     return stack.side_by_side(some_steps)(stack.take(records), lane)

@@ -6,6 +6,7 @@ therefore left to `hystfit.fitting.solvers.polish`.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.inference.normal import Normal
+from hystfit.params.coordinates import BOTH, LOWER, REAL, UPPER
 
 # Relative rounding error of the output, whose square bounds the cost per sample from below, and of a column of the Jacobian or the
 # information with the other columns projected out.
@@ -27,6 +29,7 @@ NOTHING = 1e-8
 # cost, among 1e-4, 1e-3, 1e-2, 0.1, 0.3 and 1.
 _LITTLE = 0.1
 ON_BOUND = 1e-6  # relative distance from a bound below which a bounded solver takes over, because z does not converge
+_EXCHANGES = 4  # of parameters at a bound in one step
 _EQUAL = 1e-12  # relative difference of two costs that rounding errors may cause; below it the linear model decides
 _CLOSE = 0.5  # relative excess over the cost of a converged lane, within which the linear model shows whether a lane can do better
 # The last step is taken without evaluating the cost if the decrease expected to remain after it is below this fraction of the tolerance.
@@ -81,12 +84,13 @@ class Lane(NamedTuple):
         return np.asarray(self.last & self.ended & np.isfinite(self.best.cost))
 
 
-def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarray, xp: ModuleType) -> Lane:
+def advanced(lane: Lane, new: Normal, gain: Any, samples: int, kinds: tuple[int, ...], xp: ModuleType) -> Lane:
     """Lanes after their trial points were linearized.
 
     `gain` is the relative decrease of the cost, predicted by the linear model, below which a lane has converged; `samples` are those of
-    each problem; `bounded` tells which parameters have bounds, shape (p,).
+    each problem; `kinds` are those of the bounds of the p parameters.
     """
+    bounded = np.array(kinds) != REAL
     # The last step may change the cost by less than rounding errors do.
     better = new.cost < xp.where(lane.last, lane.best.cost * (1 + _EQUAL), lane.best.cost)
     softer = xp.where(xp.isinf(lane.best.cost), lane.damping, xp.maximum(0.1 * lane.damping, LEAST_DAMPING))
@@ -95,7 +99,8 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
     best = Normal(*(chosen(a, b) for a, b in zip(new, lane.best, strict=True)))
     # The undamped step gives the possible decrease: damping suppresses directions that the data hardly determine.
     floor = ROUNDING**2 * samples
-    step, whole = _steps(best, xp.stack([damping, xp.full_like(damping, LEAST_DAMPING)]), samples, bounded, xp)
+    dampings = xp.stack([damping, xp.full_like(damping, LEAST_DAMPING)])
+    (_, whole), (way, far) = _steps(best, dampings, samples, kinds, xp)
     promised = -((best.gradient * whole).sum(-1) + 0.5 * xp.einsum("...i,...ij,...j->...", whole, best.matrix, whole))
     near = promised <= xp.maximum(gain, _EQUAL) * best.cost + floor
     settled = ~better | (promised <= gain * best.cost + floor)
@@ -103,11 +108,11 @@ def advanced(lane: Lane, new: Normal, gain: Any, samples: int, bounded: np.ndarr
     # The next step reduces the predicted decrease by at least the same factor as the last one, because damping falls.
     expected = promised**2 <= _EXPECTED * gain * best.cost * xp.where(xp.isinf(lane.promised), 0.0, lane.promised)
     sure = better & expected & (promised <= _WITHIN**2 / samples * best.cost + floor)
-    sure &= _longest(whole, bounded, xp) <= _SURE_STEP
+    sure &= _longest(far, bounded, xp) <= _SURE_STEP
     z, cost = xp.where(sure[..., None], best.z + whole, best.z), xp.where(sure, best.cost - promised, best.cost)
     best = best._replace(z=z, cost=cost)
     ended = (lane.last & settled) | sure | kink | (damping >= MOST_DAMPING) | xp.isinf(best.cost)
-    way = xp.where(near[..., None], whole, step)
+    way = xp.where(near[..., None], far, way)
     shorter = LONGEST_STEP / xp.maximum(_longest(way, bounded, xp), 1e-300)
     trial = best.z + way * xp.minimum(1.0, shorter)[..., None]
     return Lane(best, trial, damping, promised, lane.last | near | kink | sure, ended, lane.steps + 1)
@@ -118,19 +123,74 @@ def _longest(step: Array, bounded: np.ndarray, xp: ModuleType) -> Array:
     return xp.max(xp.where(bounded, xp.abs(step), 0.0), axis=-1, initial=0.0)
 
 
-def _steps(point: Normal, damping: Array, samples: int, bounded: np.ndarray, xp: ModuleType) -> Array:
-    """Steps with each damping, shape (k, ..., p); other arguments as for `advanced`.
+def _steps(point: Normal, damping: Array, samples: int, kinds: tuple[int, ...], xp: ModuleType) -> tuple[Array, Array]:
+    """Steps of the linear model with each damping, and the moves of z for them, shapes (k, ..., p); other arguments as for `advanced`.
 
-    The normal matrix is scaled to a diagonal of ones; the scale of a parameter that is not moved is 0.
+    The normal matrix is scaled to a diagonal of ones; the scale of a parameter that is not moved is 0. Where a parameter would cross a
+    bound, on a straight line in physical units, its step ends there, the others suit that, and z moves by `LONGEST_STEP`: in z, the bound
+    is at infinity, and the linear model would predict ever more than a long step achieves.
     """
+    bounded = np.array(kinds) != REAL
     diagonal = xp.diagonal(point.matrix, axis1=-2, axis2=-1)
     largest = xp.max(diagonal, axis=-1, keepdims=True, initial=0.0)
     scale = 1 / xp.sqrt(xp.maximum(diagonal, 1e-24 * largest + 1e-300))
     scale = xp.where(bounded & (diagonal < NOTHING**2 * samples), 0.0, scale)
     held = damping[..., None] * xp.maximum(1.0, (_LITTLE * scale) ** 2 * samples)
-    system = point.matrix * scale[..., :, None] * scale[..., None, :] + held[..., None] * xp.eye(scale.shape[-1])
-    right = xp.broadcast_to((scale * point.gradient)[..., None], (*system.shape[:-1], 1))
-    return -scale * xp.linalg.solve(system, right)[..., 0]
+    low, high = to_bounds(point.z, kinds, xp)
+
+    def solve(ends: Array, free: Array) -> Array:
+        """The damped step of the free parameters beside steps `ends` of the others."""
+        own = xp.where(free, scale, 0.0)
+        system = point.matrix * own[..., :, None] * own[..., None, :] + held[..., None] * xp.eye(scale.shape[-1])
+        gradient = point.gradient + xp.einsum("...ij,...j->...i", point.matrix, ends)
+        return ends - own * xp.linalg.solve(system, (own * gradient)[..., None])[..., 0]
+
+    def slope(step: Array) -> Array:
+        """Derivative of the damped linear model, zero for parameters that are not moved."""
+        own = xp.where(scale > 0, scale, 1.0)
+        return point.gradient + xp.einsum("...ij,...j->...i", point.matrix, step) + held * step / own**2
+
+    step, ended = between_bounds(solve, slope, xp.broadcast_to(low, held.shape), xp.broadcast_to(high, held.shape), xp)
+    return step, xp.where(ended, xp.sign(step) * LONGEST_STEP, step)
+
+
+def between_bounds(
+    solve: Callable[[Array, Array], Array], slope: Callable[[Array], Array], low: Array, high: Array, xp: ModuleType
+) -> tuple[Array, Array]:
+    """The minimum of a quadratic function between bounds, shape (..., p), and which parameters are at one there.
+
+    Those that cross a bound, and those at one that would leave it, are exchanged; where that does not end soon, as with parameters that are
+    nearly redundant, the minimum without bounds is taken.
+
+    Args:
+        solve: minimum for given values of the parameters that are not free, of those and of a mask of the free ones.
+        slope: the derivative.
+        low, high: the bounds, infinite for parameters without.
+    """
+    none = xp.zeros(low.shape)
+    plain = solve(none, none == 0)
+    side = xp.where(plain < low, -1, xp.where(plain > high, 1, 0))
+    if xp is np and not side.any():
+        return plain, side != 0
+    for _ in range(_EXCHANGES):
+        ends = xp.where(side < 0, low, xp.where(side > 0, high, 0.0))
+        step = solve(ends, side == 0)
+        crossed = xp.where(step < low, -1, xp.where(step > high, 1, 0))
+        new = xp.where(side == 0, crossed, xp.where(side * slope(step) < 0, side, 0))
+        settled = (new == side).all(axis=-1, keepdims=True)
+        side = xp.where(settled, side, new)
+    return xp.where(settled, step, plain), settled & (side != 0)
+
+
+def to_bounds(z: Array, kinds: Any, xp: ModuleType) -> tuple[Array, Array]:
+    """Distances to both bounds along the tangents of the maps at z, infinite without a bound; the lower one is negative."""
+    kind, grown = np.array(kinds), xp.exp(-xp.abs(z))
+    nearer = -(1.0 + grown)  # to the bound on whose side z is, and to the other
+    farther = (1.0 + grown) / grown
+    low = xp.where(z < 0, nearer, -farther)
+    high = xp.where(z < 0, farther, -nearer)
+    one = xp.where((kind == LOWER) | (kind == UPPER), -1.0, -xp.inf)
+    return xp.where(kind == BOTH, low, one), xp.where(kind == BOTH, high, xp.inf)
 
 
 def beaten(lane: Lane, problems: np.ndarray) -> np.ndarray:

@@ -6,11 +6,20 @@ compilation for each record length.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from hystfit.fitting.solvers.levenberg_marquardt import LEAST_DAMPING, LONGEST_STEP, MOST_DAMPING, NOTHING, ROUNDING
+from hystfit.fitting.solvers.levenberg_marquardt import (
+    LEAST_DAMPING,
+    LONGEST_STEP,
+    MOST_DAMPING,
+    NOTHING,
+    ROUNDING,
+    between_bounds,
+    to_bounds,
+)
 from hystfit.inference.linearization import Linearization
 from hystfit.inference.problem import Problem
 from hystfit.params.coordinates import REAL
@@ -52,7 +61,8 @@ def polish(
     Parameters that are `held`, shape (p,), are not moved.
     """
     offsets = problem.space.offsets
-    order, bounded = np.argsort(~offsets, kind="stable"), problem.space.kinds != REAL
+    order, kinds = np.argsort(~offsets, kind="stable"), problem.space.kinds
+    bounded = kinds != REAL
     samples = int(problem.used.sum())
     largest = max(*(np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data), problem.scales.y)
     gain = gain_within(within, samples)
@@ -62,7 +72,8 @@ def polish(
         floor = _floor(problem, at.x, samples, largest)
         if not np.isfinite(at.cost + floor):
             break
-        ordered, decrease = _step(at.factor, int(offsets.sum()), damping)
+        low, high = to_bounds(at.z[order], kinds[order], np)
+        ordered, decrease = _step(at.factor, int(offsets.sum()), damping, low, high)
         converged = decrease <= gain * at.cost + floor
         step = np.zeros(z.size)
         step[order] = ordered
@@ -127,21 +138,42 @@ def _linearize(
     return _Linearized(z, x, cost, factor, linear)
 
 
-def _step(triangle: np.ndarray, offsets: int, damping: float) -> tuple[np.ndarray, float]:
-    """Step from [J, r] = Q R, damped except for its first entries, and the decrease of the cost predicted for the undamped step.
+def _step(
+    triangle: np.ndarray, offsets: int, damping: float, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Move of z from [J, r] = Q R, damped except for its first entries, and the decrease of the cost predicted for the undamped step.
 
     Args:
         triangle: R, shape (p + 1, p + 1).
         offsets: number of the first columns of J, whose entries are not damped.
         damping: relative to the norms of the other columns, with the first columns projected out.
+        low, high: distances to the bounds, see `to_bounds`; a step that would cross one ends there, as in `levenberg_marquardt`.
     """
-    p = len(triangle) - 1
-    R, q = triangle[offsets:p, offsets:p], triangle[offsets:p, p]
-    size = np.linalg.norm(R, axis=0)
-    size = np.maximum(size, 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
-    rows = np.vstack([R / size, np.diag(np.full(size.size, np.sqrt(damping)))])
-    others = np.linalg.lstsq(rows, np.concatenate([-q, np.zeros(q.size)]), rcond=None)[0] / size
-    shifts = -triangle[:offsets, p] - triangle[:offsets, offsets:p] @ others
-    shifts = np.linalg.lstsq(triangle[:offsets, :offsets], shifts, rcond=ROUNDING)[0]
-    full = R / size @ np.linalg.lstsq(R / size, -q, rcond=ROUNDING)[0]
-    return np.concatenate([shifts, others]), 0.5 * float(full @ full + np.sum(triangle[:offsets, p] ** 2))
+    R, q = triangle[:-1, :-1], triangle[:-1, -1]
+
+    def bounded(damping: float) -> tuple[Any, Any]:
+        solve = lambda ends, free: ends + _damped(np.where(free, R, 0.0), q + R @ ends, offsets, damping)
+        damped = np.where(np.arange(q.size) < offsets, 0.0, damping * _sizes(R, offsets) ** 2)
+        return between_bounds(solve, lambda step: R.T @ (q + R @ step) + damped * step, low, high, np)
+
+    (step, ended), (full, _) = bounded(damping), bounded(0.0)
+    left = q + R @ full
+    return np.where(ended, np.sign(step) * LONGEST_STEP, step), 0.5 * float(q @ q - left @ left)
+
+
+def _damped(R: np.ndarray, q: np.ndarray, offsets: int, damping: float) -> Float[np.ndarray, " p"]:
+    """The least-squares solution of R step = -q with damping; by the numerical rank of R without."""
+    S, r, size = R[offsets:, offsets:], q[offsets:], _sizes(R, offsets)[offsets:]
+    if damping > 0:
+        rows = np.vstack([S / size, np.diag(np.full(size.size, np.sqrt(damping)))])
+        others = np.linalg.lstsq(rows, np.concatenate([-r, np.zeros(size.size)]), rcond=None)[0] / size
+    else:
+        others = np.linalg.lstsq(S / size, -r, rcond=ROUNDING)[0] / size
+    shifts = -q[:offsets] - R[:offsets, offsets:] @ others
+    return np.concatenate([np.linalg.lstsq(R[:offsets, :offsets], shifts, rcond=ROUNDING)[0], others])
+
+
+def _sizes(R: np.ndarray, offsets: int) -> Float[np.ndarray, " p"]:
+    """Norms of the columns with the first ones projected out, far above rounding."""
+    size = np.linalg.norm(R[offsets:], axis=0)
+    return np.maximum(size, 1e-12 * max(float(size.max(initial=0.0)), 1e-300))
