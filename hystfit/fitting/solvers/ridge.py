@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from hystfit.errors import ModelError
-from hystfit.fitting.solvers.variable_projection import Eliminated, output_slopes
+from hystfit.fitting.solvers.variable_projection import Eliminated, counted, output_slopes
 from hystfit.inference.blocks import NUMBERS, parts, spread
 from hystfit.inference.problem import Problem
 from hystfit.inference.weights import weighted_columns
@@ -222,12 +222,15 @@ def eliminated(problem: Problem, x: np.ndarray, others: np.ndarray, strength: fl
     full = x.copy()
     full[linear_positions(problem)] = weights = np.where(normal.dead, 0.0, w / normal.scale) + normal.origins[0]
 
+    left = system.columns @ weights - system.target
+
     def slopes() -> np.ndarray:
-        direct = output_slopes(problem, full, others)
+        measured = counted(problem, [record.y for record in problem.data])
+        direct = output_slopes(problem, full, others, left + measured)
         on = np.flatnonzero(positive & ~normal.dead)
         columns = system.columns[:, on] / normal.scale[on]
         follow = np.zeros((w.size, others.size))
         follow[on] = -np.linalg.solve(_ridged(submatrix(total, on), ridge[on]), columns.T @ direct)
         return np.concatenate([direct + columns @ follow[on], np.sqrt(ridge)[:, None] * follow])
 
-    return Eliminated(np.concatenate([system.columns @ weights - system.target, np.sqrt(ridge) * w]), slopes)
+    return Eliminated(np.concatenate([left, np.sqrt(ridge) * w]), slopes)

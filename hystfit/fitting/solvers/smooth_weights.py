@@ -134,7 +134,7 @@ def eliminated_smooth(problem: Problem, x: np.ndarray, others: np.ndarray, split
     output, rough = counted(problem, problem.predict(full)), float(np.sqrt(max(fit.cost - fit.rss, 0.0)))
 
     def slopes() -> np.ndarray:
-        direct = output_slopes(problem, full, others)
+        direct = output_slopes(problem, full, others, output)
         products = column_products(problem.space, list(problem.data), full, direct)
         changes = fit.following(split.system, products)
         moved = np.tile(full, (others.size, 1))

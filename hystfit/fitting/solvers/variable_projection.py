@@ -88,9 +88,11 @@ def search_nonlinear(
     return Searched(at(solution.x), evaluations, converged, "converged" if converged else stopped)
 
 
-def output_slopes(problem: Problem, x: np.ndarray, others: np.ndarray) -> Float[np.ndarray, "n q"]:
-    """Forward differences by unconstrained parameters of the outputs that count, times roots of their weights, at physical x."""
-    before, columns = counted(problem, problem.predict(x)), []
+def output_slopes(
+    problem: Problem, x: np.ndarray, others: np.ndarray, before: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, "n q"]:
+    """Forward differences by unconstrained parameters of the outputs that count, `counted`, which are `before` at physical x."""
+    columns = []
     z = np.array(problem.space.unconstrained(x))
     for k in others:
         step, moved = z.copy(), x.copy()
