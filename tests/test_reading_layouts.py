@@ -609,6 +609,14 @@ def test_branches_of_their_own_lengths_and_directions(tmp_path: Path) -> None:
     is_loop(record, np.concatenate([forward[0], reverse[0]]), np.concatenate([forward[1], reverse[1]]))
 
 
+def test_a_branch_whose_name_reads_like_that_of_a_channel(tmp_path: Path) -> None:
+    """Trace A and trace B are channels of an oscilloscope; here trace is the way up, and retrace the way down."""
+    lines = ["retrace H (A/m),retrace B (T),trace H (A/m),trace B (T)"]
+    u, up, down = FIELD[UP], MOMENT[UP], MOMENT[DOWN][::-1]
+    lines += [",".join(f"{v:.9g}" for v in row) for row in zip(u, down, u, up, strict=True)]
+    is_loop(one(written(tmp_path, "\n".join(lines) + "\n")), *LOOP)
+
+
 def test_numbered_loops_and_sensors_are_no_branches(tmp_path: Path) -> None:
     lines = ["H1,B1,H2,B2", *(f"{u},{y},{2 * u},{2 * y}" for u, y in zip(FIELD, MOMENT, strict=True))]
     assert len(read(written(tmp_path, "\n".join(lines) + "\n"))) == 2  # two loops

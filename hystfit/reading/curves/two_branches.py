@@ -111,8 +111,7 @@ def _joined(table: Table, pairs: Sequence[_Pair]) -> Table | None:
 def _pairs(table: Table) -> list[_Pair]:
     """Pairs of columns of numbers whose names differ only in the word of a branch."""
     numbers = (k for k in table.positions if k not in table.labels and k not in table.stamps)
-    split = {k: _branch(table.names[k]) for k in numbers if not is_channel(table.names[k])}
-    found = []
+    split, found = {k: _branch(table.names[k]) for k in numbers}, []
     for (i, (base, word)), (j, (other, word2)) in itertools.combinations(split.items(), 2):
         if base != other or table.units[i] != table.units[j]:
             continue
@@ -120,6 +119,8 @@ def _pairs(table: Table) -> list[_Pair]:
             found.append(_Pair(base, (i, j), word))
         elif word in FALLING and word2 in RISING:
             found.append(_Pair(base, (j, i), word2))
+        elif is_channel(table.names[i]) or is_channel(table.names[j]):
+            continue
         elif (word, word2) in _NUMBERED:
             found.append(_Pair(base, (i, j), word, directed=False))
         elif (word2, word) in _NUMBERED:
