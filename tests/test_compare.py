@@ -882,6 +882,17 @@ def test_a_search_that_did_not_end_is_not_first_beside_a_fit_that_can_be_used():
         assert ranked([rows[0], row("unlike", 0.008, status)], "prediction")[0].name == "stuck"
 
 
+def test_a_rough_fit_is_not_first_beside_one_that_describes_the_loops_and_errs_no_more():
+    """Its family has an inverse, and fewer parameters; the other leaves a tenth of its error on the samples that were fitted."""
+    row = lambda name, score, status, inverts: dataclasses.replace(
+        Row(name, name, score, 1.0, 1.0, 40 - 30 * inverts, 0.0, status), family_inverts=inverts
+    )
+    rough, sound = row("rough", 4.85, Status.ROUGH, True), row("sound", 4.69, Status.OK, False)
+    assert ranked([rough, sound], "prediction", equal=1.2)[0] is sound
+    worse = dataclasses.replace(sound, score_percent=6.0)
+    assert ranked([rough, worse], "prediction", equal=1.02)[0] is rough
+
+
 def test_equal_errors_are_within_the_scatter_of_a_root_mean_square():
     rms = np.sqrt(np.mean(np.random.default_rng(0).normal(size=(4000, 250)) ** 2, axis=1))
     assert equal_errors(250) - 1 == pytest.approx(np.std(rms), rel=0.05)

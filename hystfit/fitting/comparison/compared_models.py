@@ -248,7 +248,8 @@ def ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: 
 
     A few large errors decide such an error. Where errors do not differ by more than it is known, what else speaks for a model decides, see
     `_plainest_first`: up to `equal` times the smallest error, and up to `floor`, that of rounding, which recurs where the cycles repeat
-    [percent of range]. A fit that has not converged is not first beside one that can be used.
+    [percent of range]. A fit that has not converged is not first beside one that can be used, nor one that describes the loops only roughly
+    beside one that describes them and errs no more.
     """
     by_error = sorted(rows, key=lambda row: _rank(row, purpose))
     if not by_error or by_error[0].score_percent is None:
@@ -260,7 +261,15 @@ def ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: 
     kind, most = _rank(by_error[0], purpose)[:-1], equal * _error(by_error[0])
     alike = [row for row in by_error if _rank(row, purpose)[:-1] == kind and _error(row) <= max(most, floor)]
     # Rounding errors are no evidence.
-    return _plainest_first(alike, evidence=most > floor) + by_error[len(alike) :]
+    order = _plainest_first(alike, evidence=most > floor) + by_error[len(alike) :]
+    sound = [row for row in order if row.status is Status.OK and _rank(row, purpose)[:-1] == kind]
+    if (
+        order[0].status is Status.ROUGH
+        and sound
+        and (best := min(sound, key=lambda row: row.score)).score <= order[0].score
+    ):
+        order = [best, *(row for row in order if row is not best)]
+    return order
 
 
 def _plainest_first(alike: Sequence[Row], *, evidence: bool) -> list[Row]:
