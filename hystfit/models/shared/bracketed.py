@@ -11,10 +11,6 @@ from jaxtyping import Array, Bool
 
 from hystfit.models.shared.shapes import Scalar
 
-# Relative length of a Newton step below which rounding errors may decide it: a field behind eddy currents was searched for in 22 trials on
-# average, where 7 are enough.
-_ROUNDED = 1e-10
-
 
 class Root(NamedTuple):
     """Result of a bracketed search: where the function came nearest to zero, and whether no slope met on the way fell."""
@@ -45,8 +41,8 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
     """
     at_start = function(start)
     up = at_start < 0
-    side, extent = jnp.where(up, 1.0, -1.0), high - low
-    small = 1e-7 * extent
+    side = jnp.where(up, 1.0, -1.0)
+    small = 1e-7 * (high - low)
     eps = jnp.finfo(at_start.dtype).eps
     trial = jnp.clip(start + side * small, low, high)
     search = _Search(
@@ -82,8 +78,6 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
         trial = jnp.where(refused, middle, held)
         narrow = high - low <= 2 * eps * jnp.maximum(jnp.abs(low), jnp.abs(high))
         better = jnp.abs(value) < s.least
-        # A short Newton step that brings the value no nearer to zero only follows its rounding errors.
-        rounded = ~better & (slope > 0) & (jnp.abs(newton - s.x) <= _ROUNDED * jnp.maximum(jnp.abs(s.x), extent))
         return _Search(
             low,
             high,
@@ -94,7 +88,7 @@ def solve_rising(function: Callable[[Scalar], Scalar], start: Scalar, low: Scala
             jnp.where(better, jnp.abs(value), s.least),
             s.rising & ~(slope < 0),
             s.trials + 1,
-            settled | rounded | narrow | (value == 0) | ((trial == s.x) & ~refused),
+            settled | narrow | (value == 0) | ((trial == s.x) & ~refused),
         )
 
     found = jax.lax.while_loop(lambda s: ~s.done & (s.trials < 100), body, search)
