@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 import hystfit as hf
+from hystfit.outcome import Code
+from hystfit.outcome.note import has
 from hystfit.results.measured.loop_values import quantities
+
+from .conftest import examined
 
 
 def _magnet(noise: float) -> hf.Record:
@@ -79,3 +83,15 @@ def test_values_agree_within_their_errors_after_a_change_that_the_device_does_no
     for key in compared:
         error = float(np.hypot(before[key].stderr, after[key].stderr))
         assert abs(abs(after[key].value) - abs(before[key].value)) <= 3.5 * error, key
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_loop_that_would_give_off_energy_is_named(name):
+    record = RECORDS[name]
+    assert not has(examined(record).findings, Code.ENERGY_GAIN)
+    backwards = record.replace(u=record.u[::-1], y=record.y[::-1], weight=None)
+    assert has(examined(backwards).findings, Code.ENERGY_GAIN)
+    exchanged = {"u_unit": record.y_unit, "y_unit": record.u_unit, "u_name": record.y_name, "y_name": record.u_name}
+    assert not has(
+        examined(record.replace(u=record.y, y=record.u, weight=None, **exchanged)).findings, Code.ENERGY_GAIN
+    )
