@@ -297,7 +297,7 @@ def combined(found: list[Found]) -> tuple[float, float, int]:
     if not values.size:
         return *NOT_FOUND, 0
     stated = np.sqrt(np.mean(errors**2) / values.size)
-    scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 2 else np.nan
+    scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 1 else np.nan
     return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
 
 

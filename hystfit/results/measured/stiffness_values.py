@@ -20,10 +20,9 @@ def stiffness_values(
 ) -> Iterator[LoopValue]:
     """Secant stiffness between the ends of the loop, and the damping ratio, or above the critical damping the coefficient, of a damper."""
     width = max(b.u.max() for b in branches) - min(b.u.min() for b in branches)
-    each = sigma * float(np.sqrt(2)) / width
     longest = max(float(np.ptp(b.u)) for b in branches)  # that of a shorter branch is larger
     of = [b for b in branches if np.ptp(b.u) >= (1 - SAME_LEVEL) * longest]
-    stiffness, error, count = combined([(abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), each) for b in of])
+    stiffness, error, count = combined([_secant(b, sigma) for b in of])
     unit, factor = stiffness_unit(record.y_unit, record.u_unit)
     yield LoopValue("secant_stiffness", "secant stiffness", factor * stiffness, factor * error, unit, count)
     if not cycles:
@@ -40,6 +39,13 @@ def stiffness_values(
         of_time = f"{record.y_unit} s/{record.u_unit}" if record.y_unit and record.u_unit else ""
         error = per_loss * float(np.hypot(uncertain, size * of_duration / duration))
         yield LoopValue("damping_coefficient", label, per_loss * size, error, of_time, count)
+
+
+def _secant(b: Branch, sigma: float) -> Found:
+    """Stiffness between the ends of a branch, and its error: each end lies anywhere within a step between samples."""
+    steps = b.y[1] - b.y[0], b.y[-1] - b.y[-2]
+    error = np.hypot(np.sqrt(2) * sigma, np.hypot(*steps) / np.sqrt(12))
+    return abs(b.y[-1] - b.y[0]) / float(np.ptp(b.u)), float(error) / float(np.ptp(b.u))
 
 
 def _duration(record: Record, cycles: Sequence[Pair]) -> Found | None:
