@@ -937,6 +937,22 @@ def test_branches_in_files_of_their_own_go_on_from_each_other(tmp_path: Path) ->
     assert len(Dataset.of(read([quarters[0], quarters[2]]))) == 2
 
 
+@pytest.mark.parametrize("names", [("up", "down"), ("loop_falling", "loop_rising")])
+def test_sorted_branches_in_files_whose_names_tell_their_direction_are_one_loop(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    table = lambda rows: "H (A/m),B (T)\n" + "".join(f"{u:.8f},{y:.8f}\n" for u, y in rows)
+    rises = {"up": True, "down": False, "loop_falling": False, "loop_rising": True}
+    part = lambda name: PAIRS[40:81] if rises[name] else PAIRS[0:41][::-1]
+    files = [written(tmp_path, table(part(name)), f"{name}.csv") for name in names]
+    record = read(files)
+    assert isinstance(record, Record)
+    along = [part(name) if rises[name] else part(name)[::-1] for name in names]
+    np.testing.assert_allclose(np.column_stack([record.u, record.y]), np.concatenate(along), atol=1e-7)
+    files = [written(tmp_path, table(part(name)), f"sample{k}.csv") for k, name in enumerate(names)]
+    assert len(Dataset.of(read(files))) == 2
+
+
 def test_results_of_specimens_are_no_samples_of_a_loop(tmp_path: Path) -> None:
     rows = "".join(f"S-{k},{2 + np.sin(k):.5f},{1 + np.cos(7 * k):.5f}\n" for k in range(20))
     with pytest.raises(
