@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.errors import ModelError
+from hystfit.fitting.comparison.candidates import candidates
 from hystfit.models.damper import _BENDS, _LAGS, _STROKES
 
 RATE = 200.0
@@ -150,3 +151,15 @@ def test_time_need_not_pass_after_the_first_sample(dt: list[float]) -> None:
     expected = plain(model, u, np.array(dt))
     np.testing.assert_allclose(model.free_run(u, np.array(dt)), expected, atol=1e-10)
     np.testing.assert_allclose(np.asarray(hf.simulate(model, u, np.array(dt))[0]), expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_damper_is_tried_the_way_in_which_its_loop_dissipates_energy(sign):
+    """Friction and viscous forces alone neither rise nor fall with the displacement; a sensor of the other sign turns the loop."""
+    t = np.arange(0.0, 3.0, 0.01)
+    v = 10 * np.pi * np.cos(2 * np.pi * t)
+    force = 0.8 * v + 6 * np.tanh(v) + np.random.default_rng(3).normal(0, 0.2, t.size)
+    names = {"u_unit": "mm", "y_unit": "N", "u_name": "Displacement", "y_name": "Force"}
+    data = hf.Dataset.of(hf.Record(5 * np.sin(2 * np.pi * t), sign * force, t, **names))
+    dampers = [name for name in candidates(data).names if "damper" in name]
+    assert dampers == ["damper" if sign > 0 else "negate+damper"]

@@ -109,6 +109,18 @@ def test_baber_noori_finds_its_parameters() -> None:
     assert derived["k"].value == pytest.approx(0.4 + 8.0 / 1.5, rel=0.03)
 
 
+def test_behind_a_mirrored_input_it_starts_from_the_same_points() -> None:
+    u = cycles((1.0, 2.0, 3.0), 40)
+    y = np.asarray(hf.simulate(hf.BoucWenBaberNoori(**WALL, **PINCH), u)[0])
+    alone = hf.BoucWenBaberNoori().starting_points([hf.Record(u=u, y=y)])
+    behind = hf.Series(hf.Negate(), hf.BoucWenBaberNoori()).starting_points([hf.Record(u=-u, y=y)])
+    assert len(behind) == len(alone) == 2
+    for one, other in zip(behind, alone, strict=True):
+        assert isinstance(one.parts[0], hf.Negate)
+        for name in ("kappa_w", "kappa_x", "zy", "zs", "dnu", "deta"):
+            assert float(getattr(one.parts[1], name)) == pytest.approx(float(getattr(other, name)))
+
+
 def test_at_least_one_substep() -> None:
     with pytest.raises(ModelError):
         hf.BoucWenBaberNoori(substeps=0)

@@ -1073,6 +1073,20 @@ def test_closed_loops_of_different_strokes_without_time_are_records_of_their_own
     assert len(data) == 3
 
 
+def test_closed_loops_of_different_heights_are_of_different_specimens_and_those_of_a_force_of_one(
+    tmp_path: Path,
+) -> None:
+    phase = np.linspace(0, 2 * np.pi, 81)
+    rows = [
+        f"{k},{np.sin(p):.5f},{a * np.sin(p - 0.3):.5g}" for k, a in enumerate((60, 1e-5, 2e-5, 1.5e-5)) for p in phase
+    ]
+    data = read(_write(tmp_path, "loop,Field (T),Moment (emu)\n" + "\n".join(rows) + "\n"))
+    assert isinstance(data, Dataset)
+    assert len(data) == 4
+    rows = [f"{k},{np.sin(p):.5f},{a * np.sin(p - 0.3):.5g}" for k, a in enumerate((60, 50, 40, 30)) for p in phase]
+    assert isinstance(read(_write(tmp_path, "cycle,Drift (mm),Load (kN)\n" + "\n".join(rows) + "\n")), Record)
+
+
 def test_a_column_of_the_amplitude_of_the_input_tells_loops_apart_and_is_no_input(tmp_path: Path) -> None:
     phase = np.linspace(0, 2 * np.pi, 81)
     rows = [f"{a},{a * np.sin(p):.5f},{a * np.sin(p - 0.3):.5f}" for a in (10, 20, 30) for p in phase]

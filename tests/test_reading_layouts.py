@@ -352,6 +352,28 @@ def test_every_specimen_of_a_magic_file_is_a_record(version: int, tmp_path: Path
         assert any("80 rows" in note.text and "no loop of IS06a-4" in note.text for note in record.notes)
 
 
+SECTIONED = magnetometer(16, adjusted=True, units=True, extra=False)
+IGOR = "IGOR\nWAVES/D H, B\nBEGIN\n" + "".join(f"\t{u}\t{y}\n" for u, y in zip(FIELD, MOMENT, strict=True)) + "END\n"
+OLD_LOOP = '"Model 2900 ASCII Data File",7,-1,0\n' + "".join(
+    f"{1e4 * u},{y}\n" for u, y in zip(FIELD, MOMENT, strict=True)
+)
+
+
+@pytest.mark.parametrize("text", [magic(2), magic(3), SECTIONED, IGOR, OLD_LOOP, "H,B\n1,2\n3,4\n5,6\n7,9\n3,8\n1,0"])
+@pytest.mark.parametrize(("above", "below"), [("\n", ""), (" \n\n", "\n"), ("", "\x1a"), ("", "\x1a\x1a\x00")])
+def test_blank_lines_above_a_file_and_the_end_mark_of_dos_change_nothing(
+    text: str, above: str, below: str, tmp_path: Path
+) -> None:
+    plain, changed = (
+        Dataset.of(read(written(tmp_path, t, n))) for t, n in ((text, "a.dat"), (above + text + below, "b.dat"))
+    )
+    assert len(plain) == len(changed)
+    for before, after in zip(plain, changed, strict=True):
+        assert (before.u_unit, before.y_unit, before.stated) == (after.u_unit, after.y_unit, after.stated)
+        np.testing.assert_array_equal(before.u, after.u)
+        np.testing.assert_array_equal(before.y, after.y)
+
+
 def stacked(title: str, values: list[str], *, clock: bool = False) -> str:
     names = [title, *["time_s"] * clock, "H_A_per_m", "B_T"]
     rows = [
@@ -921,6 +943,22 @@ def test_branches_in_files_of_their_own_go_on_from_each_other(tmp_path: Path) ->
     loops = [written(tmp_path, table(PAIRS), f"loop{k}.txt") for k in range(2)]
     assert len(Dataset.of(read(loops))) == 2
     assert len(Dataset.of(read([quarters[0], quarters[2]]))) == 2
+
+
+@pytest.mark.parametrize("names", [("up", "down"), ("loop_falling", "loop_rising")])
+def test_sorted_branches_in_files_whose_names_tell_their_direction_are_one_loop(
+    names: tuple[str, str], tmp_path: Path
+) -> None:
+    table = lambda rows: "H (A/m),B (T)\n" + "".join(f"{u:.8f},{y:.8f}\n" for u, y in rows)
+    rises = {"up": True, "down": False, "loop_falling": False, "loop_rising": True}
+    part = lambda name: PAIRS[40:81] if rises[name] else PAIRS[0:41][::-1]
+    files = [written(tmp_path, table(part(name)), f"{name}.csv") for name in names]
+    record = read(files)
+    assert isinstance(record, Record)
+    along = [part(name) if rises[name] else part(name)[::-1] for name in names]
+    np.testing.assert_allclose(np.column_stack([record.u, record.y]), np.concatenate(along), atol=1e-7)
+    files = [written(tmp_path, table(part(name)), f"sample{k}.csv") for k, name in enumerate(names)]
+    assert len(Dataset.of(read(files))) == 2
 
 
 def test_results_of_specimens_are_no_samples_of_a_loop(tmp_path: Path) -> None:

@@ -66,6 +66,13 @@ def test_a_filter_gets_the_values_of_the_best_fit_that_has_one():
     assert told.parts[1] is relays
 
 
+def test_a_mirrored_input_is_no_filter():
+    """The lag of a model of outputs that fall reaches other ones; what mirrors the input has no values to tell."""
+    parts = make_model("negate+lag+prandtl-ishlinskii").parts
+    told = with_filters_of([Series(parts[0], parts[1].replace(tau=0.7), parts[2])], make_model("negate+lag+preisach"))
+    assert float(told.parts[1].tau) == 0.7
+
+
 @pytest.mark.parametrize("name", ["preisach", "relaxation+preisach", "preisach+relaxation"])
 def test_a_model_without_a_filter_of_that_kind_stays(name):
     model = make_model(name)

@@ -20,26 +20,27 @@ _FLAT = 1e-3  # area of such a part, below which it is no loop: the straight lin
 RESOLVED = 0.25
 
 
-def circulation(u: np.ndarray, y: np.ndarray) -> float:
+def circulation(u: np.ndarray, y: np.ndarray, *, mirrored: bool = True) -> float:
     """Area inside the path of a record over that of the box around it: positive where it runs counter-clockwise, as an output that lags.
 
-    Where the output falls as the input rises (`trend`), the path is mirrored first. Several cycles count several times; what a record does
-    before or after it returns to its input does not count where it has a loop, nor do samples that are NaN.
+    Where the output falls as the input rises (`trend`), the path is mirrored first, unless `mirrored` is False. Several cycles count
+    several times; what a record does before or after it returns to its input does not count where it has a loop, nor do samples that
+    are NaN.
     """
     both = np.isfinite(u) & np.isfinite(y)
     u, y = u[both], y[both]
     if u.size < FEWEST or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return 0.0
-    part, whole = _returning(u), _area(u, y)
+    part, whole = _returning(u), _area(u, y, mirrored)
     if np.ptp(u[part]) < PART * np.ptp(u) or not np.ptp(y[part]) > 0:
         return whole
-    returned = _area(u[part], y[part])
-    return returned if abs(returned) >= _FLAT or _is_resolved(u[part], y[part], returned) else whole
+    returned = _area(u[part], y[part], mirrored)
+    return returned if abs(returned) >= _FLAT or _is_resolved(u[part], y[part], returned, mirrored) else whole
 
 
-def _is_resolved(u: np.ndarray, y: np.ndarray, area: float) -> bool:
+def _is_resolved(u: np.ndarray, y: np.ndarray, area: float, mirrored: bool) -> bool:
     """Whether a path encloses nearly the same where every second sample is left out."""
-    return abs(_area(u[::2], y[::2]) - area) < RESOLVED * abs(area)
+    return abs(_area(u[::2], y[::2], mirrored) - area) < RESOLVED * abs(area)
 
 
 def trend(u: np.ndarray, y: np.ndarray) -> float:
@@ -92,9 +93,9 @@ def _turning(u: np.ndarray, y: np.ndarray) -> float:
     return 0.5 * float(u[:-1] @ y[1:] - u[1:] @ y[:-1] + u[-1] * y[0] - u[0] * y[-1])
 
 
-def _area(u: np.ndarray, y: np.ndarray) -> float:
+def _area(u: np.ndarray, y: np.ndarray, mirrored: bool) -> float:
     u, y = _scaled(u), _scaled(y)
-    return _turning(u, y) * float(np.sign(_trend(u, y)))
+    return _turning(u, y) * (float(np.sign(_trend(u, y))) if mirrored else 1.0)
 
 
 def _returning(u: np.ndarray) -> slice:

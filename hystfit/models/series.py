@@ -80,12 +80,18 @@ class Series(AbstractComposition):
 
     def start(self, records: Sequence[Record]) -> Series:
         """Starting values of each part come from the output of the part before it and the measured output."""
-        started, arriving = [], list(records)
+        return self.starting_points(records)[0]
+
+    def starting_points(self, records: Sequence[Record]) -> tuple[Series, ...]:
+        """Those with each starting point of every part, in their order."""
+        chains: list[tuple[tuple[AbstractHysteresis, ...], list[Record]]] = [((), list(records))]
         for k, part in enumerate(self.parts):
-            started.append(part.start(arriving))
-            if k < len(self.parts) - 1:
-                arriving = _behind(started[-1], arriving)
-        return type(self)(*started)
+            points = [
+                ((*made, point), arriving) for made, arriving in chains for point in part.starting_points(arriving)
+            ]
+            ends = k == len(self.parts) - 1
+            chains = [(made, arriving if ends else _behind(made[-1], arriving)) for made, arriving in points]
+        return tuple(type(self)(*made) for made, _ in chains)
 
     def step_errors(self, records: Sequence[Record]) -> Series:
         """Those of each part on the output of the part before it."""

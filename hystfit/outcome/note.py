@@ -112,6 +112,7 @@ class Code(enum.StrEnum):
     SPEED_DEPENDENT = "speed-dependent"
     CROSSING = "crossing"
     FALLING = "falling"
+    ENERGY_GAIN = "energy-gain"
     DYNAMICS = "dynamics"
     TOO_FEW_SAMPLES = "too-few-samples"
     MINOR_LOOPS = "minor-loops"

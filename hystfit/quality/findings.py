@@ -158,6 +158,12 @@ def _response(record: RecordQuality) -> Iterator[Note]:
             Code.FALLING,
             "the output falls as the input rises: loops are analyzed with the input mirrored, and models are fitted with negate+ in front",
         )
+    if record.gains_energy:
+        yield warn(
+            Code.ENERGY_GAIN,
+            f"the loop runs {record.circulation}, as if the device gave off energy in each cycle: check the signs of both columns, "
+            "the order of the rows, and whether one channel lags the other",
+        )
     if record.output_controlled:
         yield CONTROLLED
     if record.sampling.rate is not None and (record.is_rate or conducts(record.units)):

@@ -26,6 +26,14 @@ WEAKER = 0.88
 OF_CHARGE = frozenset(itertools.product(("voltage", "electric field"), ("current", "current density")))
 _OF_FLUX = frozenset({("current", "voltage"), ("field", "voltage")})
 _WIDEST = 0.9
+# Quantities that do work on a device and those which they drive: a device that dissipates it lags, counter-clockwise.
+_WORK = frozenset(
+    {
+        *itertools.product(("field", "induction"), ("moment", "magnetization")),
+        *itertools.product(("voltage", "electric field"), ("charge", "polarization", "state of charge")),
+        *(("field", "induction"), ("current", "flux"), ("force", "displacement"), ("stress", "strain")),
+    }
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -175,6 +183,14 @@ class RecordQuality:
         way = None if self.shape is None else self.shape.circulation
         opposite = {"clockwise": "counter-clockwise", "counter-clockwise": "clockwise"}
         return opposite[way] if self.falls and way is not None else way
+
+    @property
+    def gains_energy(self) -> bool:
+        """Whether the loop runs as no passive device does; unknown where the units tell of no work or the output falls."""
+        pair = quantity(self.units["u"]), quantity(self.units["y"])
+        if self.falls or not (pair in _WORK or pair[::-1] in _WORK):
+            return False
+        return self.circulation == ("clockwise" if pair in _WORK else "counter-clockwise")
 
     @property
     def switches(self) -> bool:

@@ -18,7 +18,7 @@ from hystfit.data.record import Record
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note, Severity
 from hystfit.params.units import conversion
-from hystfit.reading.arrangements.branch_files import go_on, joined
+from hystfit.reading.arrangements.branch_files import go_on, joined, turned
 from hystfit.reading.arrangements.charge_throughput import cycled
 from hystfit.reading.arrangements.side_by_side import stacked_files
 from hystfit.reading.choice.chosen_columns import Choice, choose, find, half_of_pair
@@ -76,8 +76,8 @@ def combined(parts: Sequence[tuple[str, Record | Dataset]]) -> Record | Dataset:
     cycle = cycled(halves)
     if len(cycle) < len(halves):
         return cycle[0]
-    if len(halves) == len(parts) > 1 and go_on(halves):
-        return joined(halves, counted=False)
+    if len(halves) == len(parts) > 1 and go_on(branches := turned(halves)):
+        return joined(branches, counted=False)
     if len(parts) == 1:
         return parts[0][1] if cycle == halves else cycle[0]
     parts = list(zip([path for path, _ in parts], cycle, strict=True)) if len(halves) == len(parts) else parts

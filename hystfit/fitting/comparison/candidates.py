@@ -95,8 +95,14 @@ def candidates(data: Dataset) -> Candidates:
     plays_fail = baselines.plays is not None and baselines.plays > _LEFT * baselines.curve
     last = () if plays_fail else tuple(against)
     able = {name: model for name, model in able.items() if name not in last}
-    # Some models are tried both ways.
+    # Some models are tried both ways, unless the loop shows which way they dissipate energy.
     both_ways = {part for name in able if name.startswith("negate+") for part in (name, name.removeprefix("negate+"))}
+    if way := _dissipated(data):
+        able = {
+            name: model
+            for name, model in able.items()
+            if name not in both_ways or name.startswith("negate+") == (way > 0)
+        }
     either = lambda name, model: model.either_way or not model.has_inverse or name in both_ways
     before = lambda name, model: "negate+" if falls(data) and not either(name, model) else ""
     line = lambda model: "+linear" if on_falling_line(data) and not model.either_way else ""
@@ -129,19 +135,23 @@ def _drives(model: AbstractHysteresis, data: Dataset) -> bool:
 
 def _contrary(data: Dataset) -> str:
     """The direction against which the loops of most records run; "" where noise or an output that follows the speed hides it."""
-    ways = [_way(record) for record in data]
-    way = float(np.median(ways))
+    follows = lambda record: abs(trend(record.u[record.used], record.y[record.used])) >= FOLLOWS
+    way = float(np.median([_way(record) if follows(record) else 0.0 for record in data]))
     return "" if abs(way) < 1 else "clockwise" if way > 0 else "counter-clockwise"
 
 
-def _way(record: Record) -> float:
-    """Which way a loop runs: positive for an output that lags, 1 or more where noise cannot turn it."""
+def _dissipated(data: Dataset) -> int:
+    """1 or -1 where most loops run counter-clockwise or clockwise by more than noise can make them, else 0."""
+    way = float(np.median([_way(record, mirrored=False) for record in data]))
+    return 0 if abs(way) < 1 else int(np.sign(way))
+
+
+def _way(record: Record, *, mirrored: bool = True) -> float:
+    """Which way a loop runs: positive for an output that lags, 1 or more where noise cannot turn it; `mirrored` as of `circulation`."""
     u, y = record.u[record.used], record.y[record.used]
-    if abs(trend(u, y)) < FOLLOWS:
-        return 0.0
     # The area is a sum of outputs, each weighed by the step of the input around it.
     error = (noise_rms(y)[0] or 0.0) / np.ptp(y) * np.sqrt(np.sum(np.gradient(u) ** 2)) / np.ptp(u)
-    return circulation(u, y) / max(CLEAR * error, NARROWEST)
+    return circulation(u, y, mirrored=mirrored) / max(CLEAR * error, NARROWEST)
 
 
 def _needs(name: str) -> list[Needs]:

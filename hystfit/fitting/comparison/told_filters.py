@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from hystfit.models.base import AbstractHysteresis
 from hystfit.models.series import Series
+from hystfit.params.param import leaves_of
 from hystfit.params.space import ParameterSpace
 
 
@@ -21,7 +22,8 @@ def with_filters_of(fitted: Sequence[AbstractHysteresis], model: AbstractHystere
 
 
 def _filters(model: AbstractHysteresis) -> Iterator[AbstractHysteresis]:
-    return (part for part in getattr(model, "parts", ()) if part.linear_in_input and len(ParameterSpace.of(part)))
+    parts = (part for part in getattr(model, "parts", ()) if part.linear_in_input and leaves_of(part))
+    return (part for part in parts if len(ParameterSpace.of(part)))
 
 
 def _like(part: AbstractHysteresis, fitted: AbstractHysteresis | None) -> AbstractHysteresis:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code
+from hystfit.reading.names.branch_words import FALLING, RISING, words_of
 from hystfit.reading.table.signal_evidence import meet
 
 
@@ -23,6 +24,19 @@ def go_on(records: Sequence[Record]) -> bool:
     if ways != {-1.0, 1.0} or not monotonic:
         return False
     return meet([record.u for record in records]) and meet([record.y for record in records])
+
+
+def turned(records: Sequence[Record]) -> Sequence[Record]:
+    """Two branches without time that run the same way, as sorted ones do: one of them back, where their names tell which one."""
+    if len(records) != 2 or any(record.t is not None for record in records):
+        return records
+    words = [words_of(record.name) for record in records]
+    rising, falling = ([bool(one & of) for one in words] for of in (RISING, FALLING))
+    ways = [record.u[-1] > record.u[0] for record in records]
+    if ways[0] != ways[1] or rising == falling or not (sum(rising) == sum(falling) == 1):
+        return records
+    back = (falling if ways[0] else rising).index(True)
+    return [record.take(slice(None, None, -1)) if k == back else record for k, record in enumerate(records)]
 
 
 def joined(records: Sequence[Record], *, counted: bool) -> Record:

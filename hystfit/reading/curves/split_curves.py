@@ -226,8 +226,8 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
     """Position of a column that numbers curves which do not follow each other; None without one.
 
     At half of its changes or more, the time runs back, or the input or the output makes a step that is large beside those around it; or
-    the curves are closed loops of different strokes without time. A column that numbers the cycles of one experiment changes while the
-    samples go on, as the amplitudes of a force do: damage goes on from one to the next.
+    the curves are closed loops of different strokes or heights without time. A column that numbers the cycles of one experiment changes
+    while the samples go on, as the amplitudes of a force do: damage goes on from one to the next.
     """
     chosen = (choice.time, choice.input, choice.output)
     forces = any(table.quantity(k) in LOADS for k in chosen[1:])
@@ -244,7 +244,7 @@ def _numbering_apart(table: Table, choice: Choice) -> int | None:
         if choice.time is not None:
             apart |= np.diff(table.columns[choice.time])[changes] < 0
         # A column of another name, such as the reversal field of reversal curves, separates curves that all begin with a jump.
-        alike = choice.time is None and _closed_loops(u, y, changes)
+        alike = choice.time is None and _closed_loops(u, y, changes, forces)
         told = changes.size > 1 and bool(jumps(u, changes).all())
         if choice.time is not None:
             told |= np.array_equal(np.flatnonzero(np.diff(table.columns[choice.time]) < 0), changes)
@@ -259,13 +259,16 @@ def _reverses(u: np.ndarray, at: np.ndarray) -> np.ndarray:
     return steps[at] * steps[at + 2] < 0
 
 
-def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray) -> bool:
-    """Whether each block of rows up to these is a closed loop, of another stroke than the one before."""
+def _closed_loops(u: np.ndarray, y: np.ndarray, changes: np.ndarray, forces: bool) -> bool:
+    """Whether each block of rows up to these is a closed loop, of another stroke or height than the one before.
+
+    The height of a force changes with damage, from one cycle of a test to the next.
+    """
     blocks = [[np.nan_to_num(part) for part in np.split(values, changes + 1)] for values in (u, y)]
     if any(abs(part[-1] - part[0]) > NEAR * np.ptp(part) for side in blocks for part in side):
         return False
-    strokes = np.array([np.ptp(part) for part in blocks[0]])
-    return bool((np.abs(np.diff(strokes)) > NEAR * strokes.max()).all())
+    sizes = np.array([[np.ptp(part) for part in side] for side in blocks[: 1 if forces else 2]])
+    return bool((np.abs(np.diff(sizes)) > NEAR * np.maximum(sizes[:, 1:], sizes[:, :-1])).any(axis=0).all())
 
 
 def _plain(name: str) -> str:

@@ -188,9 +188,11 @@ def decode(raw: bytes, source: str, encoding: str | None) -> tuple[str, list[Not
         raise DataError(
             f"{source} is not text in {encoding}: {error}; leave the encoding out or give another"
         ) from error
-    if padded := len(text) - len(text.rstrip("\x00")):
-        text = text.rstrip("\x00")
-        notes.append(Note(Code.LEFT_OUT, f"{padded} NUL bytes at the end"))
+    ended = text.rstrip("\x00\x1a")  # the second marks the end of a file of DOS
+    padded, nul = len(text) - len(ended), text.count("\x00", len(ended))
+    text = ended
+    if nul:
+        notes.append(Note(Code.LEFT_OUT, f"{nul} NUL bytes at the end"))
     if encoding in ("utf-8", "utf-8-sig"):
         odd = _controls(raw) - padded
     else:

@@ -57,6 +57,11 @@ class TextFile:
         """The first lines, by which layouts are recognized."""
         return self.lines[:HEAD]
 
+    @functools.cached_property
+    def first(self) -> int:
+        """Number of the first line that is not blank; 0 where there is none."""
+        return next((k for k, line in enumerate(self.head) if line.strip()), 0)
+
     def without(self, blanked: Iterable[int]) -> TextFile:
         """The file with some lines blank, so that the others keep their numbers."""
         lines = list(self.lines)

@@ -19,7 +19,7 @@ _UNIT = re.compile(
 
 def read_igor(text: TextFile) -> Table | None:
     """Waves of Igor Pro (.itx) with the same number of points as columns, with their units; None for other text."""
-    if not text.head or text.head[0].strip() != "IGOR":
+    if not text.head or text.head[text.first].strip() != "IGOR":
         return None
     blocks, units = _blocks(text.lines)
     if not blocks:

@@ -50,7 +50,7 @@ _SUSCEPTIBILITY = re.compile(
 
 def read_magic(text: TextFile) -> Table | None:
     """MagIC 2 and 3: the measurements of the file, a record for each specimen."""
-    first = next((line for line in text.head if not line.startswith(_END)), "")
+    first = next((line for line in text.head if line.strip() and not line.startswith(_END)), "")
     if not _FIRST_LINE.fullmatch(first):
         return None
     tables = _tables(text)
@@ -115,7 +115,7 @@ def _stated(row: dict[str, str], moment: str) -> Iterator[Stated]:
 def _tables(text: TextFile) -> list[tuple[str, range]]:
     """Name and lines of every table, from its row of names on."""
     lines = text.lines
-    starts = [0, *(k + 1 for k, line in enumerate(lines) if line.startswith(_END))]
+    starts = [text.first, *(k + 1 for k, line in enumerate(lines) if line.startswith(_END))]
     found = []
     for start, stop in zip(starts, [*(k - 1 for k in starts[1:]), len(lines)], strict=True):
         if start < len(lines) and (title := _FIRST_LINE.fullmatch(lines[start])):

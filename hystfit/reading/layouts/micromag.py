@@ -39,13 +39,14 @@ _TESLA = 20.0  # largest field of these magnets in T, with a margin: in Oe no lo
 
 def read_micromag(text: TextFile) -> Table | None:
     """MicroMag and Lake Shore magnetometers: field and moment, raw unless `--adjusted`, with the results stated by the instrument."""
-    old = bool(_FIRST_LINE.match(text.head[0])) and '",' in text.head[0] if text.head else False
+    opening = text.head[text.first : text.first + FEW]
+    old = bool(opening) and _FIRST_LINE.match(opening[0]) is not None and '",' in opening[0]
     sections = len(_SECTIONS.intersection(line.strip() for line in text.head))
-    if not (old or sections >= FEW or any(_FIRST_LINE.match(line) for line in text.head[:3])):
+    if not (old or sections >= FEW or any(_FIRST_LINE.match(line) for line in opening)):
         return None
     text = text.without(k for k, line in enumerate(text.lines) if _LAST_LINE.fullmatch(line))
     if old:  # one quoted line with all settings; the field in Oe, the moment in counts of the instrument
-        table = plain_text(text.without([0]))
+        table = plain_text(text.without([text.first]))
         names, units = ("Field", "Moment", *table.names[2:]), ("Oe", "", *table.units[2:])
         return dataclasses.replace(table, names=names, units=units, named=True, pair=(0, 1))
     rows = [k for k, line in enumerate(text.lines) if _SEGMENT.match(line)]

@@ -86,19 +86,20 @@ def closes(one: Branch, other: Branch, y: np.ndarray) -> bool:
     return bool(abs(other.y[-1] - one.y[0]) <= GAP * float(np.ptp(y)))
 
 
-def large_cycles(u: np.ndarray, y: np.ndarray, pairs: Sequence[Pair]) -> list[Pair]:
+def large_cycles(u: np.ndarray, y: np.ndarray, pairs: Sequence[Pair], t: np.ndarray | None = None) -> list[Pair]:
     """Pairs of branches that close; else the largest cycles from one passage of the middle input to the next in the same direction.
 
     The latter need no closed loop: in a test of growing amplitudes the energy that such a cycle dissipates is its area.
     """
-    middle, span = 0.5 * float(u.max() + u.min()), float(np.ptp(u))
     closed = [pair for pair in pairs if closes(*pair, y)]
-    exact = [(one, other) for one, other in closed if abs(other.u[-1] - one.u[0]) <= SAME_LEVEL * span]
-    return exact or _between_passages(u, y, middle, span) or closed
+    exact = [(one, other) for one, other in closed if abs(other.u[-1] - one.u[0]) <= SAME_LEVEL * float(np.ptp(u))]
+    return exact or between_passages(u, y, t) or closed
 
 
-def _between_passages(u: np.ndarray, y: np.ndarray, middle: float, span: float) -> list[Pair]:
-    """Cycles over the whole range of the input that begin and end at its middle."""
+def between_passages(u: np.ndarray, y: np.ndarray, t: np.ndarray | None = None) -> list[Pair]:
+    """Cycles over the whole range of the input that begin and end at its middle, with the time between its passages."""
+    middle, span = 0.5 * float(u.max() + u.min()), float(np.ptp(u))
+    t = np.full(u.size, np.nan) if t is None else t
     clear = np.flatnonzero(np.abs(u - middle) > SAME_LEVEL * span)
     side = np.sign(u - middle)
     for end, inner in ((0, clear[0]), (-1, clear[-1])):  # a record that begins or ends in the middle passes it there
@@ -109,13 +110,18 @@ def _between_passages(u: np.ndarray, y: np.ndarray, middle: float, span: float) 
         passages = np.flatnonzero((side[:-1] * way < 0) & (side[1:] * way >= 0)) + 1
         for a, b in itertools.pairwise(passages.tolist()):
             if np.ptp(u[a:b]) >= (1 - SAME_LEVEL) * span:
-                ends = [float(np.interp(middle, *_rising(u[k - 1 : k + 1], y[k - 1 : k + 1]))) for k in (a, b)]
+                ends, (start, end) = (
+                    [float(np.interp(middle, *_rising(u[k - 1 : k + 1], of[k - 1 : k + 1]))) for k in (a, b)]
+                    for of in (y, t)
+                )
                 inputs, outputs = (
                     np.pad(u[a:b], 1, constant_values=middle),
                     np.concatenate([ends[:1], y[a:b], ends[1:]]),
                 )
                 half = int(np.argmax(np.abs(inputs - middle)))
-                found.append((Branch(inputs[:half], outputs[:half]), Branch(inputs[half:], outputs[half:])))
+                lasts = 0.5 * (end - start)
+                one, other = (Branch(inputs[of], outputs[of], lasts) for of in (slice(half), slice(half, None)))
+                found.append((one, other))
     return found
 
 
@@ -127,8 +133,38 @@ def from_ends(one: Branch, other: Branch) -> Pair:
     return Branch(u[first : last + 1], y[first : last + 1]), joined
 
 
+def mean_ends(branches: Sequence[Branch], low: float, high: float, sigma: float) -> tuple[tuple[float, float], float]:
+    """Mean outputs over the outer 5 % of a range of the input, at the high and at the low end; error of half their difference or sum.
+
+    Means over the input, and not over the samples, which may lie closer at one place or be more on one branch. The error has that of the
+    ends themselves, which lie anywhere within a step between samples.
+    """
+    margin = 0.5 * (1 - ENDS) * (high - low)
+    means, variance = [], 0.0
+    for first, last in ((high - margin, high), (low, low + margin)):
+        found = [one for b in branches if (one := _over(b, first, last)) is not None]
+        means.append(float(np.mean([mean for mean, _, _ in found])) if found else np.nan)
+        if found:
+            variance += sigma**2 / sum(count for *_, count in found) + np.mean([step for _, step, _ in found]) ** 2 / 12
+    return (means[0], means[1]), 0.5 * math.sqrt(variance)
+
+
+def _over(b: Branch, low: float, high: float) -> tuple[float, float, int] | None:
+    """Over a range of the input, as far as a branch goes there: mean output, its mean step and the number of samples; None without any."""
+    u, y = _rising(b.u, b.y)
+    inside = (u >= low) & (u <= high)
+    if not inside.any():
+        return None
+    ends, count = np.clip([low, high], u[0], u[-1]), int(inside.sum())
+    if not ends[1] > ends[0]:
+        return float(y[inside].mean()), 0.0, count
+    at = np.interp(ends, u, y)
+    grid, level = np.r_[ends[0], u[inside], ends[1]], np.r_[at[0], y[inside], at[1]]
+    return float(np.trapezoid(level, grid) / (ends[1] - ends[0])), abs(at[1] - at[0]) / count, count
+
+
 def _rising(u: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    order = np.argsort(u)
+    order = np.argsort(u, kind="stable")
     return u[order], y[order]
 
 
@@ -261,7 +297,7 @@ def combined(found: list[Found]) -> tuple[float, float, int]:
     if not values.size:
         return *NOT_FOUND, 0
     stated = np.sqrt(np.mean(errors**2) / values.size)
-    scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 2 else np.nan
+    scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 1 else np.nan
     return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
 
 

@@ -26,7 +26,6 @@ from hystfit.reading.names.column_names import column_quantity
 from hystfit.results.measured.butterfly_values import butterfly_values
 from hystfit.results.measured.instrument_values import convention_notes, with_stated, with_stated_sheet
 from hystfit.results.measured.loop_branches import (
-    ENDS,
     Branch,
     Pair,
     closes,
@@ -38,6 +37,7 @@ from hystfit.results.measured.loop_branches import (
     large_branches,
     large_cycles,
     loss,
+    mean_ends,
     range_error,
     turns_of,
 )
@@ -230,7 +230,7 @@ def _loops_of(
     branches, duration = at_one_pace(_largest(large_branches(u, y, turns, t)))
     branches = without_first_loading(branches, int(turns[0]) + 1, sigma)
     pairs = [pair for pair in itertools.pairwise(branches) if pair[0].rises != pair[1].rises]
-    cycles = [c for c in large_cycles(u, y, pairs) if pairs or kind in STRUCTURAL or closes(*c, y)]
+    cycles = [c for c in large_cycles(u, y, pairs, t) if pairs or kind in STRUCTURAL or closes(*c, y)]
     if not pairs and kind not in STRUCTURAL:  # loops that grow from the middle, each of which begins and ends there
         branches = [*itertools.chain(*(from_ends(*cycle) for cycle in cycles))]
     return branches, pairs, cycles, duration
@@ -329,7 +329,11 @@ def _levels(
     y = record.y[record.used] if kind in STRUCTURAL else np.concatenate([b.y for b in branches])
     yield LoopValue("stroke", "range of the output", float(np.ptp(y)), range_error(y, sigma), units[1])
     if named and not is_unipolar(record.u):
-        yield from _ends(branches, sigma, units[1])
+        (high, low), error = mean_ends(
+            branches, min(b.u.min() for b in branches), max(b.u.max() for b in branches), sigma
+        )
+        label = "output near the ends (outer 5 % of the input)"  # as instruments read the saturation
+        yield LoopValue("saturation", label, 0.5 * (high - low), error, units[1])
     if kind is LoopKind.DISPLACEMENT_DRIVEN:
         yield from stiffness_values(branches, cycles, sigma, record)
 
@@ -338,16 +342,6 @@ def _of_film(levels: Sequence[LoopValue], film: Iterable[LoopValue]) -> list[Loo
     """The values with the coercivity of the film alone: with its substrate, the output passes zero at other fields."""
     alone = {one.name: dataclasses.replace(one, label=f"{one.label}, without the slope") for one in film}
     return [alone.get(one.name, one) if one.name.startswith("coercive_input") else one for one in levels]
-
-
-def _ends(branches: list[Branch], sigma: float, unit: str) -> Iterator[LoopValue]:
-    """Half the difference of the mean outputs near both ends of the input, as instruments read the saturation."""
-    u, y = (np.concatenate(columns) for columns in zip(*((b.u, b.y) for b in branches), strict=True))
-    center, half = 0.5 * (u.max() + u.min()), 0.5 * np.ptp(u)
-    high, low = u - center >= ENDS * half, u - center <= -ENDS * half
-    error = 0.5 * sigma * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
-    value = 0.5 * float(y[high].mean() - y[low].mean())
-    yield LoopValue("saturation", "output near the ends (outer 5 % of the input)", value, error, unit)
 
 
 def _both(

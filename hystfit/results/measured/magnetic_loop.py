@@ -17,13 +17,13 @@ from hystfit.errors import DataError
 from hystfit.outcome.table import or_none
 from hystfit.params.units import MU0, size_in
 from hystfit.results.measured.loop_branches import (
-    ENDS,
     Branch,
     Found,
     asymmetry,
     combined,
     crossing,
     large_branches,
+    mean_ends,
     turns_of,
 )
 from hystfit.results.measured.magnetic_sample import Sample
@@ -155,7 +155,7 @@ class MagneticLoop:
         """Half sums of the outputs at the ends, and of the fields where the branches cross their middle."""
         if not self.branches:
             return self
-        level, error = self.ends(0.5)
+        level, error = self._middle()
         sides = [
             combined([crossing(b.y - level, b.u, self.noise) for b in self.branches if b.rises == rises])
             for rises in (True, False)
@@ -186,14 +186,13 @@ class MagneticLoop:
         made = self._with(found, j=self.j - (law.slope * self.h if found.applied else 0.0))
         return dataclasses.replace(made, saturation=law)
 
-    def ends(self, sign: float = -0.5) -> Found:
-        """Half the mean output at the positive ends plus `sign` (0.5: sum, -0.5: difference) times that at the negative ends; its error."""
+    def _middle(self) -> Found:
+        """Half sum of the mean outputs at both ends, and its error."""
         largest = min(float(self.h.max()), -float(self.h.min()))
-        high, low = self.h >= ENDS * largest, self.h <= -ENDS * largest
-        if not (largest > 0 and high.any() and low.any()):
-            return 0.5 * float(self.j.max()) + sign * float(self.j.min()), np.nan
-        error = 0.5 * self.noise * float(np.sqrt(1 / high.sum() + 1 / low.sum()))
-        return 0.5 * float(self.j[high].mean()) + sign * float(self.j[low].mean()), error
+        (high, low), error = mean_ends(self.branches, -largest, largest, self.noise)
+        if not (largest > 0 and np.isfinite(high + low)):
+            return 0.5 * float(self.j.max() + self.j.min()), np.nan
+        return 0.5 * (high + low), error
 
 
 def _to_polarization(record: Record, sample: Sample) -> tuple[float | None, list[Correction]]:

@@ -75,7 +75,9 @@ def _recovered(record: Record, rows: list[LoopValue], noise: float) -> Iterator[
         return
     part = slice(tip, last + 1)
     size = -factor * float(np.trapezoid(u[part], y[part]))
-    error = factor * noise * float(np.sqrt(np.sum(np.diff(u[part]) ** 2)))
+    # The tip lies anywhere between the samples beside the largest one.
+    beside = 0.5 * float(np.ptp(y[max(tip - 1, 0) : tip + 2])) / np.sqrt(12)
+    error = factor * float(np.hypot(noise * np.sqrt(np.sum(np.diff(u[part]) ** 2)), u[tip] * beside))
     if size <= 0:  # what still switches behind the tip exceeds it
         return
     yield LoopValue("recoverable_energy", "recoverable energy, from the largest voltage to zero", size, error, unit)
