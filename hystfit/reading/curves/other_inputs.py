@@ -26,6 +26,7 @@ _WITH_INPUT, _WITH_OUTPUT = 0.5, 0.9
 def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iterator[Note]:
     """A warning for each of these columns of numbers that is a further input, with how to read the samples of one of its levels."""
     kinds = [*map(table.quantity, table.positions)]
+    known = set()  # quantities and numbers of levels, as those of several thermometers
     for position in positions:
         name, values = table.names[position], table.columns[position]
         if kinds[position] in ("index", "time") or _STATE.search(name):
@@ -38,6 +39,9 @@ def other_inputs(table: Table, choice: Choice, positions: Iterable[int]) -> Iter
                 continue
             yield _note(name, "set to", levels, ("where", f"{name}={levels[-1]:g}"), "samples")
         elif kinds[position] not in ("velocity", "") and (held := _held_apart(table, choice, position)):
+            if (sensor := (kinds[position], len(held))) in known:
+                continue
+            known.add(sensor)
             _, first, stop = max(held, key=lambda one: one[2] - one[1])
             clock = np.arange(table.rows) if choice.time is None else table.columns[choice.time]
             window = f"{clock[first]:.10g}:{clock[stop - 1]:.10g}"

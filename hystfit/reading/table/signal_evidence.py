@@ -122,6 +122,20 @@ def held_levels(values: np.ndarray) -> list[tuple[float, int, int]]:
     return [(float(level), int(first), int(stop)) for level, (first, stop) in zip(levels, runs, strict=True)]
 
 
+def held_labels(values: np.ndarray) -> np.ndarray | None:
+    """The level at which a measured column is held as text, "" between two, shape (rows,); None for a column of another kind.
+
+    Levels are written with as many digits as tell them apart: 2 for 1.9996 beside 4.0004.
+    """
+    levels = np.array([level for level, _, _ in held_levels(values)])
+    if not levels.size:
+        return None
+    digits = 1 - int(np.floor(np.log10(np.diff(levels).min())))
+    nearest = np.abs(values[:, None] - levels).argmin(axis=1)
+    near = np.abs(values - levels[nearest]) <= _WITHIN * np.ptp(values)
+    return np.where(near, np.array([f"{round(float(level), digits) + 0.0:g}" for level in levels])[nearest], "")
+
+
 def moves_at_rest(u: np.ndarray, y: np.ndarray) -> bool:
     """Whether an output moves over most of its range while its input stays at its least or largest value, as under a heater that is off."""
     u, y = sample(u), sample(y)
