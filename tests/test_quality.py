@@ -877,6 +877,20 @@ def test_an_output_that_is_constant_at_first_has_a_shape_and_no_division_by_zero
     assert strength_left(u, np.zeros_like(u), geometry.cycles(u)) is None
 
 
+def test_a_damper_whose_current_varies_is_not_damaged():
+    """White noise moves it, and another one sets its current: what is lost at a low current comes back."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        noise = lambda width, rng=rng: np.convolve(rng.normal(size=8000), np.hanning(width), "same")[1000:-1000]
+        u, level = noise(61), noise(301)
+        current = np.clip(1.1 + 0.8 * level / level.std(), 0.0, 2.25)
+        speed = np.gradient(u) / np.gradient(u).std()
+        force = (90 + 300 * current) * np.tanh(2 * speed) + 40 * speed + rng.normal(0, 10, u.size)
+        found = summarize(Record(u=u, y=force, u_unit="cm", y_unit="N"))
+        assert not found.degrading
+        assert not found.weakens
+
+
 def test_a_last_loop_of_constant_output_has_no_closure():
     u = np.tile(np.concatenate([np.linspace(0, 1, 20), np.linspace(1, 0, 20)[1:-1]]), 4)
     u = np.append(u, 0.0)
