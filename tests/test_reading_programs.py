@@ -532,6 +532,22 @@ def test_loops_at_temperatures_that_are_held_are_records_of_their_own(tmp_path: 
     assert note.option == ("only", "2")
 
 
+def test_rows_in_which_the_temperature_changes_between_loops_are_left_out(tmp_path: Path) -> None:
+    """The field is read back with noise at zero while the cryostat cools, and each loop begins and ends there."""
+    rng, share = np.random.default_rng(7), np.sin(np.linspace(0, 2 * np.pi, 201))
+    field, temperature = [5e3 * share], [300 + rng.normal(0, 0.02, 201)]
+    for warm, cold in ((300, 200), (200, 100)):
+        field += [rng.normal(2, 0.4, 60), 5e3 * share]
+        temperature += [np.linspace(warm, cold, 62)[1:-1], cold + rng.normal(0, 0.02, 201)]
+    u, kelvin = np.concatenate(field), np.concatenate(temperature)
+    columns = (np.arange(u.size), kelvin, u, np.tanh(u / 900 + np.sign(np.gradient(u)) * 60 / kelvin))
+    data = Dataset.of(
+        read(written(tmp_path, "Time (s),Temperature (K),Field (Oe),Moment (emu)\n" + rows(",", *columns)))
+    )
+    assert [record.name for record in data] == ["Temperature=300", "Temperature=200", "Temperature=100"]
+    assert all(201 <= len(record) < 210 for record in data)
+
+
 def test_rows_at_one_level_of_a_measured_condition(tmp_path: Path) -> None:
     columns, _ = _loops_of_a_magnetometer((2.0, 4.0, 6.0))
     names = "Time (s),Temperature (K),Magnetic Field (Oe),Moment (emu),Sensor Temp (K),Chamber Temp (K)\n"

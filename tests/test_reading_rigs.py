@@ -195,6 +195,19 @@ def test_levels_of_a_measured_condition_are_a_further_input(measured: bool, tmp_
     assert not any("'T_degC'" in note.text for note in notes)
 
 
+def test_a_current_that_is_held_at_one_level_after_the_other_divides_a_record(tmp_path: Path) -> None:
+    """That of a damper, of which the force tells it: the largest force of each cycle is that of its current."""
+    t = 0.002 * np.arange(6000)
+    current = np.repeat([0.0, 0.4, 0.8, 1.2], 1500) + RNG.normal(0, 0.003, t.size)
+    x, v = 15 * np.sin(4 * np.pi * t), 60 * np.pi * np.cos(4 * np.pi * t)
+    force = (80 + 700 * current) * np.tanh(v / 25 + x / 40) + 0.6 * v + RNG.normal(0, 4, t.size)
+    names = "t_s,x_mm,F_N,I_A\n"
+    (note,) = (note for note in Dataset.of(read_table(tmp_path, names, t, x, force, current))[0].notes if note.option)
+    assert note.option == ("by", "I_A")
+    data = Dataset.of(read(tmp_path / "rig.csv", by="I_A"))
+    assert [record.name for record in data] == ["I=0", "I=0.4", "I=0.8", "I=1.2"]
+
+
 def test_held_levels_of_signals() -> None:
     steps = np.repeat([-49.0, -35, -21, -7], 300) + RNG.normal(0, 0.02, 1200)
     found = held_levels(steps)

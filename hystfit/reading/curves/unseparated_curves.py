@@ -16,7 +16,7 @@ from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import levels_in_turn, swings
+from hystfit.reading.table.signal_evidence import held_labels, levels_apart, levels_in_turn, swings
 
 _MOST = 100  # curves at temperatures of their own
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
@@ -39,10 +39,11 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
         is_set = is_set and not (kind == "" and numbers_cycles(table, position, u))
         if not (kind == "temperature" or is_set):
             continue
-        rows = np.arange(u.size)
+        rows, levels = np.arange(u.size), None
         if not is_set and table.quantity(choice.input) in _FIELDS:
-            rows = np.flatnonzero(~_heated(u, values))
-        begins = _steps_of_plateaus(values[rows])
+            levels = held_labels(values)
+            rows = np.flatnonzero(~_heated(u, values) if levels is None else levels != "")
+        begins = _steps_of_plateaus(values[rows]) if levels is None else _changes(levels[rows])
         pieces = np.split(rows, begins)
         one = not begins.size and 2 * OF_RECORD <= rows.size < u.size and np.ptp(values[rows]) < HEATED
         if one or (begins.size and _cover(u, pieces) and _begin_alike(u[rows], begins, at_end=not is_set)):
@@ -53,7 +54,8 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
                 notes.append(Note(Code.LEFT_OUT, text))
             if one:
                 return [("", rows)]
-            curves = _labeled(pieces, [f"{split_unit(name)[0]}={np.mean(values[piece]):.4g}" for piece in pieces])
+            means = levels_apart(np.array([np.mean(values[piece]) for piece in pieces]))
+            curves = _labeled(pieces, [f"{split_unit(name)[0]}={mean:.4g}" for mean in means])
             text = f"{len(pieces)} curves, each at a {kind or 'value'} that is held ({name!r})"
             notes.append(Note(Code.CURVES, text) if is_set else _of_states(text, curves[0][0]))
             return curves
@@ -105,6 +107,11 @@ def _steps_of_plateaus(values: np.ndarray) -> np.ndarray:
         if all(drift <= _HELD * min(pair) for drift, pair in zip(drifts, itertools.pairwise(changes), strict=True)):
             return begins
     return np.empty(0, dtype=int)
+
+
+def _changes(labels: np.ndarray) -> np.ndarray:
+    """Rows at which a label is another one than before."""
+    return np.flatnonzero(labels[1:] != labels[:-1]) + 1
 
 
 def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:

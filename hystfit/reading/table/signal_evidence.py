@@ -123,17 +123,19 @@ def held_levels(values: np.ndarray) -> list[tuple[float, int, int]]:
 
 
 def held_labels(values: np.ndarray) -> np.ndarray | None:
-    """The level at which a measured column is held as text, "" between two, shape (rows,); None for a column of another kind.
-
-    Levels are written with as many digits as tell them apart: 2 for 1.9996 beside 4.0004.
-    """
+    """The level at which a measured column is held as text, "" between two, shape (rows,); None for a column of another kind."""
     levels = np.array([level for level, _, _ in held_levels(values)])
     if not levels.size:
         return None
-    digits = 1 - int(np.floor(np.log10(np.diff(levels).min())))
     nearest = np.abs(values[:, None] - levels).argmin(axis=1)
     near = np.abs(values - levels[nearest]) <= _WITHIN * np.ptp(values)
-    return np.where(near, np.array([f"{round(float(level), digits) + 0.0:g}" for level in levels])[nearest], "")
+    return np.where(near, np.array([f"{level:g}" for level in levels_apart(levels)])[nearest], "")
+
+
+def levels_apart(levels: np.ndarray) -> list[float]:
+    """Levels with as many digits as tell them apart: 2 for 1.9996 beside 4.0004, 0 for -0.0005 beside 10."""
+    digits = 1 - int(np.floor(np.log10(np.diff(np.unique(levels)).min())))
+    return [round(float(level), digits) + 0.0 for level in levels]
 
 
 def moves_at_rest(u: np.ndarray, y: np.ndarray) -> bool:
