@@ -225,7 +225,7 @@ class ColumnFacts:
         told = units[k] or column_quantity(names[k])
         if self.kinds[j] in _FIELDS and not (self.alone or told):
             return proportional(columns[k], columns[j])  # the field of a coil and the output of its source
-        one_unit = units[j] == units[k] and (units[k] or self.kinds[k])
+        one_unit = units[j] == units[k] and bool(units[k] or self.kinds[k])
         alike = one_unit or without_role(names[j]) == without_role(names[k]) != ""
         # "ref" has the quantity of what follows it, as a set value without quantity and unit has.
         bare = without_role(names[k]) == "" or not told

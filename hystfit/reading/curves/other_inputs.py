@@ -71,8 +71,8 @@ def _remedy(
 ) -> tuple[tuple[str, str], str]:
     """The option that reads the rows of one level, and what they are: records where each level is held once, else a stretch."""
     labels = held_labels(table.columns[position])
-    at_levels = labels[labels != ""]
-    if np.count_nonzero(at_levels[1:] != at_levels[:-1]) < len(held):
+    at_levels = np.empty(0) if labels is None else labels[labels != ""]
+    if at_levels.size and np.count_nonzero(at_levels[1:] != at_levels[:-1]) < len(held):
         return ("by", table.names[position]), "each level as a record"
     _, first, stop = max(held, key=lambda one: one[2] - one[1])
     clock = np.arange(table.rows) if choice.time is None else table.columns[choice.time]
