@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from hystfit.params.units import Scales, loop_energy, quantity
 from hystfit.reading import read
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.signal_evidence import held_levels
+from hystfit.reading.table.signal_evidence import held_labels, held_levels
 from hystfit.results.measured.loop_kinds import LoopKind
 from hystfit.results.measured.loop_values import quantities
 from hystfit.results.measured.steady_loops import Excitation
@@ -206,6 +207,17 @@ def test_a_current_that_is_held_at_one_level_after_the_other_divides_a_record(tm
     assert note.option == ("by", "I_A")
     data = Dataset.of(read(tmp_path / "rig.csv", by="I_A"))
     assert [record.name for record in data] == ["I=0", "I=0.4", "I=0.8", "I=1.2"]
+
+
+@pytest.mark.parametrize(
+    "levels", [[1.8, 4.2, 300], [2, 5, 10, 20, 50, 100, 300], [300, 77, 2, 1.8], [2, 290, 300], range(100, 301, 20)]
+)
+def test_temperatures_over_decades_are_levels_of_their_own(levels: Sequence[float]) -> None:
+    """Those of a cryostat: 2 and 5 K are as far apart as 200 and 500 K are."""
+    values = np.repeat(np.array(levels), 180) * (1 + RNG.normal(0, 3e-4, 180 * len(levels)))
+    labels = held_labels(values)
+    assert labels is not None
+    assert labels.tolist() == np.repeat([f"{level:g}" for level in levels], 180).tolist()
 
 
 def test_held_levels_of_signals() -> None:
