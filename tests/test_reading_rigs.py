@@ -220,6 +220,19 @@ def test_temperatures_over_decades_are_levels_of_their_own(levels: Sequence[floa
     assert labels.tolist() == np.repeat([f"{level:g}" for level in levels], 180).tolist()
 
 
+def test_ramps_between_temperatures_are_no_levels() -> None:
+    """The last rows of a ramp are within a fiftieth of the temperature that it goes to."""
+    held = [np.repeat(level, 120) for level in (300.0, 50, 5)]
+    ramp = lambda first, last: np.geomspace(first, last, 40)[1:-1]
+    values = np.concatenate([held[0], ramp(300, 50), held[1], ramp(50, 5), held[2]])
+    labels = held_labels(values)
+    assert labels is not None
+    assert {level: np.ptp(values[labels == level]) / float(level) < 0.04 for level in labels if level} == dict.fromkeys(
+        ["300", "50", "5"], True
+    )
+    assert np.count_nonzero(labels == "") > 68
+
+
 def test_held_levels_of_signals() -> None:
     steps = np.repeat([-49.0, -35, -21, -7], 300) + RNG.normal(0, 0.02, 1200)
     found = held_levels(steps)

@@ -103,10 +103,9 @@ def held_levels(values: np.ndarray) -> list[tuple[float, int, int]]:
     None for a column of another kind. A current that follows its set value is at its levels for most rows.
     """
     levels, at = _levels_and_rows(values)
-    ends = [0, *(np.flatnonzero(np.diff(at)) + 1), values.size]
-    runs = [run for run in itertools.pairwise(ends) if levels.size and at[run[0]] >= 0]
+    runs = _stretches(at)
     longest = lambda k: max((run for run in runs if at[run[0]] == k), key=lambda run: run[1] - run[0])
-    return [(float(level), *map(int, longest(k))) for k, level in enumerate(levels)]
+    return [(float(level), *longest(k)) for k, level in enumerate(levels)]
 
 
 def held_labels(values: np.ndarray) -> np.ndarray | None:
@@ -123,12 +122,25 @@ def _levels_and_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     nothing = np.empty(0), np.full(values.size, -1)
     if values.size < 2 * _ROWS_OF_LEVEL or not np.isfinite(values).all():
         return nothing
-    scales = [values, np.log(values)] if values.min() > 0 and values.max() > _DECADE * values.min() else [values]
-    ways = [
-        (np.array([np.median(values[at == k]) for k in range(at.max() + 1)]), at) for at in map(_rows_of_levels, scales)
-    ]
-    levels, at = max(ways, key=lambda way: way[0].size)
+    over_decades = values.min() > 0 and values.max() > _DECADE * values.min()
+    found = [*([_rows_by_ratio(values)] if over_decades else []), _rows_of_levels(values)]
+    levels, at = max(((_medians(values, at), at) for at in found), key=lambda way: way[0].size)
     return nothing if not levels.size or np.ptp(levels) <= _APART * np.abs(levels).max() else (levels, at)
+
+
+def _rows_by_ratio(values: np.ndarray) -> np.ndarray:
+    """The level of each row where levels lie apart by their ratios; without ends of ramps where no level has holes then."""
+    at = _rows_of_levels(np.log(values))
+    if at.max() < 1:
+        return at
+    close = np.where(np.abs(values - _medians(values, at)[at]) <= _WITHIN * values, at, -1)
+    same = [at[first] for first, _ in _stretches(at)] == [close[first] for first, _ in _stretches(close)]
+    return close if same else at
+
+
+def _medians(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """The level of each group of rows."""
+    return np.array([np.median(values[at == k]) for k in range(at.max() + 1)])
 
 
 def _rows_of_levels(values: np.ndarray, parent: float = 0) -> np.ndarray:
@@ -153,11 +165,17 @@ def _rows_of_levels(values: np.ndarray, parent: float = 0) -> np.ndarray:
     distance = np.diff(levels).min()
     within = _AMONG_CLOSE * distance if parent else min(_WITHIN * span, _OF_DISTANCE * distance)
     at = np.where(np.abs(values - levels[nearest]) <= within, nearest, -1)
-    ends = [0, *(np.flatnonzero(np.diff(at)) + 1), values.size]
-    rows = [stop - first for first, stop in itertools.pairwise(ends) if at[first] >= 0]
-    if np.mean(at >= 0) <= _HELD_MOST or np.median(rows) < _ROWS_OF_LEVEL:
+    rows = [stop - first for first, stop in _stretches(at)]
+    held = np.unique(at[at >= 0]).size == levels.size and np.mean(at >= 0) > _HELD_MOST
+    if not held or np.median(rows) < _ROWS_OF_LEVEL:
         return nothing
     return _divided(values, at, parent or span)
+
+
+def _stretches(at: np.ndarray) -> list[tuple[int, int]]:
+    """First row and the next after the last of each stretch at one level."""
+    ends = [0, *(np.flatnonzero(np.diff(at)) + 1).tolist(), at.size]
+    return [run for run in itertools.pairwise(ends) if at[run[0]] >= 0]
 
 
 def _divided(values: np.ndarray, at: np.ndarray, span: float) -> np.ndarray:
@@ -175,10 +193,10 @@ def _divided(values: np.ndarray, at: np.ndarray, span: float) -> np.ndarray:
 
 def levels_apart(levels: np.ndarray) -> list[float]:
     """Levels with the digits that tell them apart: 2 of 1.9996 beside 4.0004, 0 of -0.0005 beside 10, 1.8 beside 300."""
-    apart = np.diff(np.unique(levels)).min()
     digits = lambda size: 1 - int(np.floor(np.log10(size)))
-    size = lambda level: min(apart, abs(level)) if abs(level) > _NEAR_ZERO * apart else apart
-    return [round(float(level), digits(size(level))) + 0.0 for level in levels]
+    apart = lambda level: np.abs(levels - level)[levels != level].min()
+    small = lambda level: _NEAR_ZERO * apart(level) < abs(level) < apart(level)
+    return [round(float(one), digits(abs(one) if small(one) else apart(one))) + 0.0 for one in levels]
 
 
 def moves_at_rest(u: np.ndarray, y: np.ndarray) -> bool:
