@@ -877,6 +877,20 @@ def test_an_output_that_is_constant_at_first_has_a_shape_and_no_division_by_zero
     assert strength_left(u, np.zeros_like(u), geometry.cycles(u)) is None
 
 
+def test_a_damper_whose_current_varies_is_not_damaged():
+    """White noise moves it, and another one sets its current: what is lost at a low current comes back."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        noise = lambda width, rng=rng: np.convolve(rng.normal(size=8000), np.hanning(width), "same")[1000:-1000]
+        u, level = noise(61), noise(301)
+        current = np.clip(1.1 + 0.8 * level / level.std(), 0.0, 2.25)
+        speed = np.gradient(u) / np.gradient(u).std()
+        force = (90 + 300 * current) * np.tanh(2 * speed) + 40 * speed + rng.normal(0, 10, u.size)
+        found = summarize(Record(u=u, y=force, u_unit="cm", y_unit="N"))
+        assert not found.degrading
+        assert not found.weakens
+
+
 def test_a_last_loop_of_constant_output_has_no_closure():
     u = np.tile(np.concatenate([np.linspace(0, 1, 20), np.linspace(1, 0, 20)[1:-1]]), 4)
     u = np.append(u, 0.0)
@@ -1397,3 +1411,19 @@ def test_a_cycle_from_rest_is_a_loop_with_the_gap_between_its_ends(gap: float, r
     assert shape.width_percent == pytest.approx(100 * np.sin(0.4), abs=2 + 50 * gap)
     assert shape.closure_percent == pytest.approx(-100 * 2.2 * gap / np.ptp(y), abs=1)
     assert has(report.findings, Code.NOT_CLOSED) == (gap > 0)
+
+
+def test_the_noise_of_one_reversal_curve_does_not_make_the_output_fall():
+    """The first curves of a family begin near saturation, where they rise by less than their noise."""
+    rng, grid = np.random.default_rng(11), np.random.default_rng(12)
+    up, down = np.abs(grid.normal(300, 80, 300)), np.abs(grid.normal(300, 80, 300))
+    records = []
+    for start in np.arange(800.0, -1001.0, -60.0):
+        u = np.arange(start, 1201.0, 60.0)
+        state = np.where(start < -down, -1.0, 1.0)
+        y = np.array([np.where(value > up, 1.0, state).mean() for value in u])
+        records.append(Record(u, y + rng.normal(0, 1e-3, u.size), u_unit="Oe", y_unit="emu", name=f"curve={start:g}"))
+    report = examine(Dataset(tuple(records)))
+    assert any(record.falls for record in report.records)
+    assert has(report.findings, Code.REVERSAL_CURVES)
+    assert not has(report.findings, Code.FALLING)

@@ -536,7 +536,7 @@ def test_a_table_of_a_dynamometer(tmp_path: Path) -> None:
     head = "Side: Right\nmSec  TORQUE  POSITION  POS (ANAT)  VELOCITY\n       N-M     DEGREES   DEGREES   DEG/SEC\n"
     record = one(tmp_path, head + rows("  ", 10 * np.arange(N), Y, U, U + 90, np.round(np.gradient(U), 2)), "test.txt")
     is_pair(record)
-    assert (record.u_unit, record.y_unit, record.t_unit) == ("DEGREES", "", "mSec")
+    assert (record.u_unit, record.y_unit, record.t_unit) == ("DEGREES", "", "ms")
 
 
 def test_points_of_a_calibration_with_their_durations(tmp_path: Path) -> None:

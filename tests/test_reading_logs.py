@@ -222,6 +222,12 @@ def test_branches_under_the_names_of_other_languages(words: tuple[str, str], nam
     assert asked == (words not in PAIRS)
 
 
+def test_word_of_a_branch_that_ends_another_word(tmp_path: Path) -> None:
+    rows = [f"{u},{a},{b}" for u, a, b in zip(HALF, UP, DOWN, strict=True)]
+    record = one(tmp_path, "\n".join(["Last (kN),Lauf auf (mV/V),Lauf ab (mV/V)", *rows]))
+    assert record.y_name == "Lauf (mV/V)"
+
+
 def test_sensors_that_end_apart_are_no_branches(tmp_path: Path) -> None:
     rows = [f"{u},{a},{1.3 * a}" for u, a in zip(HALF, UP, strict=True)]
     record = one(tmp_path, "\n".join(["Weg,Kraft north,Kraft south", *rows]))

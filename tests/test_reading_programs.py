@@ -507,6 +507,67 @@ def test_a_sweep_of_the_temperature_is_no_part_of_the_loops_beside_it(loops: tup
     assert not any(note.code is Code.CONDITIONS for record in records for note in record.notes)
 
 
+def _loops_of_a_magnetometer(kelvins: tuple[float, ...]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Columns and loops of a sequence that rises from zero field once and measures a loop at each temperature, with its clock going on."""
+    rng, share = np.random.default_rng(5), np.concatenate([np.linspace(1, -1, 57), np.linspace(-1, 1, 57)[1:]])
+    field, temperature = [], []
+    for k, kelvin in enumerate(kelvins):
+        field.append(7e4 * np.concatenate([np.linspace(0, 1, 20)[:-1], share]) if k == 0 else 7e4 * share)
+        temperature.append(kelvin + rng.normal(0, 1e-3, field[-1].size))
+    moments = [np.tanh(u / 1e4 + 2 * np.sign(np.gradient(u)) / k) for u, k in zip(field, kelvins, strict=True)]
+    kelvin, u, y = (np.concatenate(parts) for parts in (temperature, field, moments))
+    time = 1e6 + np.cumsum(rng.uniform(28, 30, u.size))
+    return [time, kelvin, u, y, kelvin + 0.01, kelvin - 0.02], field
+
+
+def test_loops_at_temperatures_that_are_held_are_records_of_their_own(tmp_path: Path) -> None:
+    """The first loop alone begins at zero field, and the clock goes on from each to the next."""
+    columns, loops = _loops_of_a_magnetometer((2.0, 4.0, 6.0))
+    names = "Time (s),Temperature (K),Magnetic Field (Oe),Moment (emu),Sensor Temp (K),Chamber Temp (K)\n"
+    data = Dataset.of(read(written(tmp_path, names + rows(",", *columns))))
+    assert [record.name for record in data] == ["Temperature=2", "Temperature=4", "Temperature=6"]
+    for record, u in zip(data, loops, strict=True):
+        np.testing.assert_allclose(record.u, u, rtol=1e-6, atol=1e-6)
+    (note,) = (note for note in data[0].notes if note.severity is Severity.WARNING)
+    assert note.option == ("only", "2")
+
+
+def test_rows_in_which_the_temperature_changes_between_loops_are_left_out(tmp_path: Path) -> None:
+    """The field is read back with noise at zero while the cryostat cools, and each loop begins and ends there."""
+    rng, share = np.random.default_rng(7), np.sin(np.linspace(0, 2 * np.pi, 201))
+    field, temperature = [5e3 * share], [300 + rng.normal(0, 0.02, 201)]
+    for warm, cold in ((300, 200), (200, 100)):
+        field += [rng.normal(2, 0.4, 60), 5e3 * share]
+        temperature += [np.linspace(warm, cold, 62)[1:-1], cold + rng.normal(0, 0.02, 201)]
+    u, kelvin = np.concatenate(field), np.concatenate(temperature)
+    columns = (np.arange(u.size), kelvin, u, np.tanh(u / 900 + np.sign(np.gradient(u)) * 60 / kelvin))
+    data = Dataset.of(
+        read(written(tmp_path, "Time (s),Temperature (K),Field (Oe),Moment (emu)\n" + rows(",", *columns)))
+    )
+    assert [record.name for record in data] == ["Temperature=300", "Temperature=200", "Temperature=100"]
+    assert all(201 <= len(record) < 210 for record in data)
+
+
+def test_rows_at_one_level_of_a_measured_condition(tmp_path: Path) -> None:
+    columns, _ = _loops_of_a_magnetometer((2.0, 4.0, 6.0))
+    names = "Time (s),Temperature (K),Magnetic Field (Oe),Moment (emu),Sensor Temp (K),Chamber Temp (K)\n"
+    path = written(tmp_path, names + rows(",", *columns))
+    assert len(Dataset.of(read(path, by="Temperature (K)"))) == 3
+    record = one(path, where="Temperature (K)=4")
+    np.testing.assert_allclose(record.u, columns[2][np.abs(columns[1] - 4) < 1])
+    with pytest.raises(DataError, match="2, 4, 6"):
+        read(path, where="Temperature (K)=5")
+
+
+def test_several_thermometers_make_one_warning(tmp_path: Path) -> None:
+    (time, _, u, y, *_), _ = _loops_of_a_magnetometer((2.0, 4.0, 6.0))
+    drift = np.linspace(0, 60, u.size)
+    names = "Time (s),Temperature (K),Magnetic Field (Oe),Moment (emu),Sensor Temp (K),Chamber Temp (K)\n"
+    columns = (time, 250 + drift, u, y, 250 + drift + 0.01, 251 + drift)
+    record = one(written(tmp_path, names + rows(",", *columns)))
+    assert sum(note.code is Code.CONDITIONS for note in record.notes) == 1
+
+
 def test_words_of_units_behind_the_numbers_of_a_simulator(tmp_path: Path) -> None:
     """A motor turned by even steps, which its program numbers."""
     torque = 12 * np.sin(2 * np.pi * np.arange(36) / 35)

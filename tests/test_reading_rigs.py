@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from hystfit.params.units import Scales, loop_energy, quantity
 from hystfit.reading import read
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.signal_evidence import held_levels
+from hystfit.reading.table.signal_evidence import held_labels, held_levels
 from hystfit.results.measured.loop_kinds import LoopKind
 from hystfit.results.measured.loop_values import quantities
 from hystfit.results.measured.steady_loops import Excitation
@@ -193,6 +194,43 @@ def test_levels_of_a_measured_condition_are_a_further_input(measured: bool, tmp_
     notes = [note for record in Dataset.of(data) for note in record.notes if note.severity is Severity.WARNING]
     assert any("'I_A'" in note.text for note in notes)
     assert not any("'T_degC'" in note.text for note in notes)
+
+
+def test_a_current_that_is_held_at_one_level_after_the_other_divides_a_record(tmp_path: Path) -> None:
+    """That of a damper, of which the force tells it: the largest force of each cycle is that of its current."""
+    t = 0.002 * np.arange(6000)
+    current = np.repeat([0.0, 0.4, 0.8, 1.2], 1500) + RNG.normal(0, 0.003, t.size)
+    x, v = 15 * np.sin(4 * np.pi * t), 60 * np.pi * np.cos(4 * np.pi * t)
+    force = (80 + 700 * current) * np.tanh(v / 25 + x / 40) + 0.6 * v + RNG.normal(0, 4, t.size)
+    names = "t_s,x_mm,F_N,I_A\n"
+    (note,) = (note for note in Dataset.of(read_table(tmp_path, names, t, x, force, current))[0].notes if note.option)
+    assert note.option == ("by", "I_A")
+    data = Dataset.of(read(tmp_path / "rig.csv", by="I_A"))
+    assert [record.name for record in data] == ["I=0", "I=0.4", "I=0.8", "I=1.2"]
+
+
+@pytest.mark.parametrize(
+    "levels", [[1.8, 4.2, 300], [2, 5, 10, 20, 50, 100, 300], [300, 77, 2, 1.8], [2, 290, 300], range(100, 301, 20)]
+)
+def test_temperatures_over_decades_are_levels_of_their_own(levels: Sequence[float]) -> None:
+    """Those of a cryostat: 2 and 5 K are as far apart as 200 and 500 K are."""
+    values = np.repeat(np.array(levels), 180) * (1 + RNG.normal(0, 3e-4, 180 * len(levels)))
+    labels = held_labels(values)
+    assert labels is not None
+    assert labels.tolist() == np.repeat([f"{level:g}" for level in levels], 180).tolist()
+
+
+def test_ramps_between_temperatures_are_no_levels() -> None:
+    """The last rows of a ramp are within a fiftieth of the temperature that it goes to."""
+    held = [np.repeat(level, 120) for level in (300.0, 50, 5)]
+    ramp = lambda first, last: np.geomspace(first, last, 40)[1:-1]
+    values = np.concatenate([held[0], ramp(300, 50), held[1], ramp(50, 5), held[2]])
+    labels = held_labels(values)
+    assert labels is not None
+    assert {level: np.ptp(values[labels == level]) / float(level) < 0.04 for level in labels if level} == dict.fromkeys(
+        ["300", "50", "5"], True
+    )
+    assert np.count_nonzero(labels == "") > 68
 
 
 def test_held_levels_of_signals() -> None:

@@ -170,6 +170,16 @@ def test_a_set_value_without_a_quantity_is_that_of_the_field_of_its_name(tmp_pat
     is_pair(one(tmp_path, text, "moke.json"), field, columns["kerr_signal"])
 
 
+def test_the_output_of_a_source_is_not_the_input_beside_the_field_of_its_coil(tmp_path: Path) -> None:
+    up = np.round(np.linspace(-5, 5, 81), 3)
+    steps, noise = np.append(up, up[::-1]), np.random.default_rng(3).standard_normal(2 * up.size)
+    field = np.round(102 * steps + 0.4 * noise, 3)
+    kerr = np.round(0.5 + 0.2 * np.tanh((field - np.repeat([63, -63], up.size)) / 11) + 0.004 * noise[::-1], 5)
+    names = "cycle,direction,source_output,detector_voltage,field_measured (Oe)\n"
+    columns = (np.zeros(2 * up.size), np.repeat([1, -1], up.size), steps, kerr, field)
+    is_pair(one(tmp_path, names + rows(",", *columns)), field, kerr)
+
+
 def test_the_input_of_an_open_loop_rather_than_a_reference_that_nothing_follows(tmp_path: Path) -> None:
     is_pair(one(tmp_path, "ref,u,y\n" + rows(",", np.round(U / 3, 4), U, Y)))
 

@@ -541,3 +541,17 @@ def test_quantities_of_a_loop_that_no_measured_one_covers_are_those_of_the_model
 
     assert text in hysteresis([10.0, 7.0, 20.0, 16.0, 30.0, 25.0])
     assert text not in hysteresis([10.0, -10.0, 20.0, -20.0, 30.0, -30.0])
+
+
+def test_weights_that_are_zero_are_not_at_a_bound():
+    u = np.tile(np.concatenate([np.linspace(0, 1, 60), np.linspace(1, 0, 60)[1:-1]]), 3)
+    plays = np.zeros(u.size)
+    for radius in (0.1, 0.3):
+        state = u[0]
+        for k, value in enumerate(u):
+            state = min(max(state, value - radius), value + radius)
+            plays[k] += state
+    result = fit("prandtl-ishlinskii", Record(u, plays, u_unit="V", y_unit="um"))
+    zeros = sum("[" in p.name and p.value == 0 for p in result.parameters if p.at_bound is not None)
+    assert zeros > 1
+    assert f"{zeros} weights are zero" in report.text_report(result)

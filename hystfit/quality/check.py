@@ -171,7 +171,11 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
         if not has(notes, Code.NO_LOOP, Code.SINGLE_VALUED):
             notes = (*notes, *coverage_notes(dataset))
     else:
-        notes = tuple(note for note in notes if note.code not in (Code.NO_LOOP, Code.TOO_FEW_SAMPLES))
+        falling = (
+            sum(record.falls for record in records) > len(records) / 2
+        )  # not one by noise, which begins near saturation
+        aside = {Code.NO_LOOP, Code.TOO_FEW_SAMPLES} | (set() if falling else {Code.FALLING})
+        notes = tuple(note for note in notes if note.code not in aside)
         about = [
             Note(Code.REVERSAL_CURVES, family.words()),
             *(warn(Code.REVERSAL_CURVES, text) for text in family.notes),

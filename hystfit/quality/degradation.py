@@ -10,6 +10,9 @@ from hystfit.quality.loops import APART, SAME_LEVEL, SEVERAL
 
 LIKE_DURATION = 2.0  # factor between the durations of branches up to which their stiffness is compared
 SMALL = 0.1  # of the largest stroke: shorter branches, and branches whose middles are further apart, are not compared
+# Factor between the stiffness of a branch and that of the next one, by the median, above which something else than the stroke makes it.
+_SCATTER = 1.25
+_PROTOCOL = 0.1  # least part of the branches that are as long as all before in a test of growing strokes: in white noise 0.01 to 0.06
 _LATE = 4  # late branches, whose median shows damage
 
 
@@ -22,7 +25,7 @@ def stiffness_left(
     before define the initial stiffness as a function of the stroke; later branches about the same middle are compared
     with it (a loop elsewhere in the range may be softer without damage). Shorter branches than all of those have nothing to be
     compared with: any hysteresis is softer at small strokes; nor have branches of another duration, as a lag reduces the stiffness of
-    fast ones. Without damage the ratio is near 1 or above.
+    fast ones. Without damage the ratio is near 1 or above; where it scatters from branch to branch, as under white noise, it shows nothing.
 
     Args:
         u: input, shape (T,).
@@ -53,7 +56,19 @@ def stiffness_left(
     if not (before > 0).all():
         return None
     left = change[repeated] / stroke[repeated] / before
-    return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scatter = np.abs(np.diff(np.log(left)))
+    return None if scatter.size and np.median(scatter) > np.log(_SCATTER) else _of_the_last(left)
+
+
+def _of_the_last(left: np.ndarray) -> float | None:
+    """What is left by the median of the last four branches, or of the last tenth of many; None with fewer.
+
+    Damage does not heal: of each branch counts the most that it or a later one has, which is whole again where the current of a damper
+    was low for a while.
+    """
+    still = np.maximum.accumulate(left[::-1])[::-1]
+    return float(np.median(still[-max(_LATE, left.size // 10) :])) if left.size >= _LATE else None
 
 
 def _reached(u: np.ndarray, y: np.ndarray, turns: np.ndarray, noise: float) -> np.ndarray:
@@ -85,7 +100,7 @@ def _measured_branches(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> tupl
 
 
 def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | None:
-    """Range of the output over branches longer than all before, over its largest range on a shorter branch before.
+    """Range of the output over branches longer than all before, or over any after them, over its largest range on a shorter branch before.
 
     Hysteresis without damage covers on a longer branch what it covered on a shorter one (softening included: the peak lies inside
     the branch). Arguments as in `stiffness_left`.
@@ -95,9 +110,9 @@ def strength_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray) -> float | N
     """
     branches, stroke = _measured_branches(u, y, cycles)
     reached = np.array([np.ptp(y[a : b + 1]) for a, b in branches])
-    before = np.maximum.accumulate(reached)[:-1]
+    before, still = np.maximum.accumulate(reached)[:-1], np.maximum.accumulate(reached[::-1])[::-1]
     longer = (stroke[1:] > (1 + SAME_LEVEL) * np.maximum.accumulate(stroke)[:-1]) & (before > 0)
-    left = reached[1:][longer] / before[longer]
+    left = still[1:][longer] / before[longer]
     return float(np.median(left[-_LATE:])) if left.size >= _LATE else None
 
 
@@ -114,6 +129,8 @@ def unloading_left(u: np.ndarray, y: np.ndarray, cycles: np.ndarray, noise: floa
     if stroke.size <= _LATE:
         return None
     growing = (stroke > SMALL * stroke.max()) & (stroke > (1 - APART) * np.maximum.accumulate(stroke))
+    if growing.mean() < _PROTOCOL:
+        return None
     reach = stroke[growing].min() / 4
     reached = dict(zip(turns, _reached(u, y, turns, noise), strict=True))
     slopes = []

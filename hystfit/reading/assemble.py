@@ -20,7 +20,7 @@ from hystfit.reading.curves.branches_in_order import in_order_of_time
 from hystfit.reading.curves.calibration_points import marked_by_kind, marked_by_place
 from hystfit.reading.curves.copies import without_copies
 from hystfit.reading.curves.split_curves import (
-    labels_of,
+    levels_of,
     restart_divider,
     select_curves,
     shown,
@@ -199,7 +199,7 @@ def _filter(table: Table, where: str | Mapping[str, object] | None, notes: list[
     positions = []
     for key, value in where.items():
         position = find(table, key, "where")
-        labels = labels_of(table, position)
+        labels = levels_of(table, position)
         hit = labels == text_of(value)
         if not hit.any():
             raise DataError(f"{table.source}: no row has {key} = {value!r}; its values are {shown(labels)}")

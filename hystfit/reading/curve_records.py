@@ -9,7 +9,7 @@ from hystfit.data.record import Record, median_interval
 from hystfit.errors import DataError
 from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
-from hystfit.params.units import quantity
+from hystfit.params.units import quantity, symbol_of
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.conditions import changed_conditions
 from hystfit.reading.curves.demagnetization_curves import lacks_sign
@@ -226,7 +226,7 @@ def _record(table: Table, choice: Choice, data: _Data, title: str, notes: list[N
             t=data.get("time"),
             u_unit=column_unit(table.names[choice.input], table.units[choice.input]),
             y_unit=column_unit(table.names[choice.output], table.units[choice.output]),
-            t_unit=time_unit or "s",
+            t_unit=symbol_of(time_unit) or "s",
             u_name=table.names[choice.input],
             y_name=table.names[choice.output],
             name=title,

@@ -222,13 +222,15 @@ class ColumnFacts:
     def _follows(self, j: int, k: int) -> bool:
         """Whether column j measures what column k commands."""
         names, units, columns = self.table.names, self.table.units, self.table.columns
-        one_unit = units[j] == units[k] and (units[k] or self.kinds[k])
+        told = units[k] or column_quantity(names[k])
+        if self.kinds[j] in _FIELDS and not (self.alone or told):
+            return proportional(columns[k], columns[j])  # the field of a coil and the output of its source
+        one_unit = units[j] == units[k] and bool(units[k] or self.kinds[k])
         alike = one_unit or without_role(names[j]) == without_role(names[k]) != ""
         # "ref" has the quantity of what follows it, as a set value without quantity and unit has.
-        bare = without_role(names[k]) == "" or not (units[k] or column_quantity(names[k]))
-        if self.kinds[k] not in (self.kinds[j], "" if bare else self.kinds[j]) or not (alike or bare):
-            return False
-        return bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
+        bare = without_role(names[k]) == "" or not told
+        belongs = self.kinds[k] in (self.kinds[j], "" if bare else self.kinds[j]) and (alike or bare)
+        return belongs and bool(np.sqrt(np.nanmean((columns[j] - columns[k]) ** 2)) < _FOLLOWS * extent(columns[k]))
 
     def is_followed(self, i: int, o: int) -> bool:
         """Whether the input is a reference without a name of its own, as "ref" is, and the output what follows it."""
@@ -288,10 +290,9 @@ class ColumnFacts:
 
     def is_relative(self, k: int) -> bool:
         """Whether a column is a number without a quantity that was computed from a column that has one: a magnetoresistance in percent."""
-        if self.kinds[k] or self.table.units[k] not in _RELATIVE:
-            return False
-        columns, unit = self.table.columns, self.table.units
-        return any(self.kinds[j] and quantity(unit[j]) and rounded(columns[k], columns[j]) for j in self.ranks)
+        columns, unit, kinds = self.table.columns, self.table.units, self.kinds
+        of = lambda j: kinds[j] and quantity(unit[j]) and rounded(columns[k], columns[j])
+        return not kinds[k] and unit[k] in _RELATIVE and any(map(of, self.ranks))
 
     def is_raw_beside(self, i: int, o: int) -> bool:
         """Whether an output is a sensor's signal in volts, beside a quantity in a unit of its own that belongs to the input as well."""
@@ -308,9 +309,8 @@ class ColumnFacts:
     def is_controlled(self, k: int) -> bool:
         """Whether beside a column that was set, what it sets was measured too: a second sensor, or the field of a magnet's current."""
         kinds, columns = self.kinds, self.table.columns
-        magnet = kinds[k] == "current" and not self.alone
-        of_magnet = lambda j: magnet and kinds[j] in _FIELDS and proportional(columns[k], columns[j])
-        twin = any(kinds[j] == kinds[k] != "" or of_magnet(j) for j in self.ranks if j != k)
+        of_magnet = lambda j: kinds[k] == "current" and kinds[j] in _FIELDS and proportional(columns[k], columns[j])
+        twin = any(kinds[j] == kinds[k] != "" or (of_magnet(j) and not self.alone) for j in self.ranks if j != k)
         return twin or (bool(self.measured) and self.roles[k] == "input")
 
 

@@ -54,14 +54,15 @@ def changed_conditions(table: Table, used: tuple[int | None, ...], output: int) 
     """
     others = [k for k in table.positions if table.named and k not in used]
     heated = any(table.quantity(k) == "temperature" for k in used if k is not None)  # it is no condition but the input
-    for k in others:
+    for k in [] if heated else others:
         values = table.columns[k][np.isfinite(table.columns[k])]
-        if table.quantity(k) == "temperature" and not heated and values.size and _change(values) > HEATED:
+        if table.quantity(k) == "temperature" and values.size and _change(values) > HEATED:
             yield warn(
                 Code.CONDITIONS,
                 f"the temperature ({table.names[k]!r}) changes from {values.min():.4g} to {values.max():.4g} {table.units[k]} within this "
                 "record: its loops are of different states; read those of one temperature (where=), or fit a part (window=)",
             )
+            break  # other thermometers say the same
     for k in _in_its_place(table, others, output):
         yield warn(
             Code.CONDITIONS,

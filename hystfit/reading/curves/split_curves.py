@@ -20,10 +20,10 @@ from hystfit.reading.curves.calibration_points import CURVE_NAMES, calibrated_cu
 from hystfit.reading.curves.other_inputs import other_inputs
 from hystfit.reading.curves.two_branches import mirrored
 from hystfit.reading.curves.unseparated_curves import curves_at_conditions
-from hystfit.reading.limits import FEWEST, MAJORITY, MOST_CURVES, NEAR
+from hystfit.reading.limits import FEWEST, MAJORITY, MOST_CURVES, MOST_LABELS, NEAR
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import clock_goes_on, jumps, states_strokes
+from hystfit.reading.table.signal_evidence import clock_goes_on, held_labels, jumps, states_strokes
 
 
 def text_of(value: object) -> str:
@@ -40,6 +40,14 @@ def labels_of(table: Table, position: int) -> np.ndarray:
         return np.array([text_of(value) for value in table.labels[position]])
     values, back = np.unique(table.columns[position], return_inverse=True)
     return np.array(["" if np.isnan(value) else f"{value:.12g}" for value in values])[back]
+
+
+def levels_of(table: Table, position: int) -> np.ndarray:
+    """The values of a column as text, those of a measured condition by the level at which it is held, shape (rows,)."""
+    labels = labels_of(table, position)
+    several = position not in table.labels and np.unique(labels).size > MOST_LABELS
+    held = held_labels(table.columns[position]) if several else None
+    return labels if held is None else held
 
 
 def shown(values: Sequence[str] | np.ndarray) -> str:
@@ -125,7 +133,7 @@ def _goes_on(table: Table, choice: Choice, starts: np.ndarray) -> str:
 
 def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str, np.ndarray]]:
     """Label and rows of each value of a column."""
-    labels = labels_of(table, divider)
+    labels = levels_of(table, divider)
     if blank := int((labels == "").sum()):
         notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
     first, number = np.unique(labels, return_index=True, return_inverse=True)[1:]

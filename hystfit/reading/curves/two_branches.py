@@ -330,7 +330,11 @@ def _without(name: str, word: str) -> str:
     """A name without the word of a branch, where it has one beside others."""
     if not word:
         return name
-    rest = re.sub(rf"[ _.-]?{word}(?![a-z])", "", name, count=1, flags=re.IGNORECASE).strip(" _.-")
+    whole = next(
+        (token.start() for token in _TOKEN.finditer(name) if token[0].lower() == word), 0
+    )  # "Lauf" ends with "auf"
+    tail = re.sub(rf"[ _.-]?{word}(?![a-z])", "", name[max(whole - 1, 0) :], count=1, flags=re.IGNORECASE)
+    rest = (name[: max(whole - 1, 0)] + tail).strip(" _.-")
     return name if not rest or rest.isdigit() or rest.startswith(("(", "[")) else rest
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Sequence
 
@@ -9,12 +10,13 @@ import numpy as np
 
 from hystfit.data.circulation import PART
 from hystfit.outcome import Code, Note
+from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names.names_with_units import split_unit
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import levels_in_turn, swings
+from hystfit.reading.table.signal_evidence import held_labels, levels_apart, levels_in_turn, swings
 
 _MOST = 100  # curves at temperatures of their own
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
@@ -37,13 +39,14 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
         is_set = is_set and not (kind == "" and numbers_cycles(table, position, u))
         if not (kind == "temperature" or is_set):
             continue
-        rows = np.arange(u.size)
+        rows, levels = np.arange(u.size), None
         if not is_set and table.quantity(choice.input) in _FIELDS:
-            rows = np.flatnonzero(~_heated(u, values))
-        begins = _steps_of_plateaus(values[rows])
+            levels = held_labels(values)
+            rows = np.flatnonzero(~_heated(u, values) if levels is None else levels != "")
+        begins = _steps_of_plateaus(values[rows]) if levels is None else _changes(levels[rows])
         pieces = np.split(rows, begins)
         one = not begins.size and 2 * OF_RECORD <= rows.size < u.size and np.ptp(values[rows]) < HEATED
-        if one or (begins.size and _cover(u, pieces) and _begin_alike(u[rows], begins)):
+        if one or (begins.size and _cover(u, pieces) and _begin_alike(u[rows], begins, at_end=not is_set)):
             if rows.size < u.size:
                 text = (
                     f"left out: {u.size - rows.size} rows in which the temperature ({name!r}) changes at a held field"
@@ -51,11 +54,11 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
                 notes.append(Note(Code.LEFT_OUT, text))
             if one:
                 return [("", rows)]
-            title = split_unit(name)[0]
-            notes.append(
-                Note(Code.CURVES, f"{len(pieces)} curves, each at a {kind or 'value'} that is held ({name!r})")
-            )
-            return _labeled(pieces, [f"{title}={np.mean(values[piece]):.4g}" for piece in pieces])
+            means = levels_apart(np.array([np.mean(values[piece]) for piece in pieces]))
+            curves = _labeled(pieces, [f"{split_unit(name)[0]}={mean:.4g}" for mean in means])
+            text = f"{len(pieces)} curves, each at a {kind or 'value'} that is held ({name!r})"
+            notes.append(Note(Code.CURVES, text) if is_set else _of_states(text, curves[0][0]))
+            return curves
     begins = _returns(u, None if choice.time is None else table.columns[choice.time])
     pieces = [piece for piece in np.split(np.arange(u.size), begins) if piece.size > 1]
     if len(pieces) < 2 or u.size < OF_RECORD * len(pieces):
@@ -64,6 +67,13 @@ def curves_at_conditions(table: Table, choice: Choice, notes: list[Note]) -> Cur
         Note(Code.CURVES, f"{len(pieces)} curves: the input jumps back from the end of each to the begin of the next")
     )
     return _labeled(pieces, [f"curve={k}" for k in range(len(pieces))])
+
+
+def _of_states(text: str, first: str) -> Note:
+    """The warning that curves are of different states, with the option that reads the first of them."""
+    option = ("only", first.partition("=")[2])
+    text += f": one model of all averages over the states; fit one (only={option[1]!r}), or each with hystfit batch"
+    return dataclasses.replace(warn(Code.CURVES, text), option=option)
 
 
 def numbers_cycles(table: Table, position: int, u: np.ndarray) -> bool:
@@ -99,6 +109,11 @@ def _steps_of_plateaus(values: np.ndarray) -> np.ndarray:
     return np.empty(0, dtype=int)
 
 
+def _changes(labels: np.ndarray) -> np.ndarray:
+    """Rows at which a label is another one than before."""
+    return np.flatnonzero(labels[1:] != labels[:-1]) + 1
+
+
 def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:
     """Rows at which an input that runs one way jumps back; none where curves neither begin nor end alike, or time goes on there."""
     steps = np.diff(u)
@@ -116,8 +131,11 @@ def _returns(u: np.ndarray, clock: np.ndarray | None) -> np.ndarray:
     return begins if alike else np.empty(0, dtype=int)
 
 
-def _begin_alike(u: np.ndarray, begins: np.ndarray) -> bool:
-    return bool((np.abs(u[begins] - u[0]) <= NEAR * np.ptp(u)).all())
+def _begin_alike(u: np.ndarray, begins: np.ndarray, *, at_end: bool = False) -> bool:
+    """Whether curves begin where the first one began; with `at_end` also where all but that, which begins at rest, begin at one end."""
+    end = u.max() if u[begins[0]] > u.mean() else u.min()
+    places = (u[0], end) if at_end else (u[0],)
+    return any((np.abs(u[begins] - place) <= NEAR * np.ptp(u)).all() for place in places)
 
 
 def _cover(u: np.ndarray, pieces: Sequence[np.ndarray]) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.errors import DataError
-from hystfit.outcome.table import or_none
+from hystfit.outcome.table import or_none, with_error
 from hystfit.params.units import MU0, size_in
 from hystfit.results.measured.loop_branches import (
     Branch,
@@ -46,8 +46,7 @@ class Correction:
     applied: bool  # whether the quantities are those after it
 
     def __str__(self) -> str:
-        error = "" if self.stderr is None else f" +- {self.stderr:.2g}"
-        size = "" if self.value is None else f" {self.value:.5g}{error} {self.unit}".rstrip()
+        size = "" if self.value is None else f" {with_error(self.value, self.stderr, self.unit)}"
         return f"{self.name}:{size}, {self.text}" + ("" if self.applied else "; not applied")
 
 

@@ -198,12 +198,14 @@ def _lag(record: Record) -> tuple[str, str] | None:
 
 def _undetermined(result: FitResult) -> str:
     names = [p.name for p in result.parameters if p.identifiable is False and p.at_bound is None]
-    bounded = sum(p.at_bound is not None for p in result.parameters)
+    bounded = [p for p in result.parameters if p.at_bound is not None]
+    weights = sum("[" in p.name and p.value == 0 for p in bounded)
     text = "nothing" if not names else ", ".join(names[:NAMED])
     if len(names) > NAMED:
         count = f"{len(names)} of {len(result.free_names)} parameters"
         text = f"{count}, such as {names[0]}; predictions within the fitted range do not need them"
-    return text + (f"; {bounded} at a bound" if bounded else "")
+    counts = {"at a bound": len(bounded) - weights, f"weight{'s are' * (weights > 1) or ' is'} zero": weights}
+    return "; ".join([text, *(f"{count} {what}" for what, count in counts.items() if count)])
 
 
 def next_commands(result: FitResult, wording: Wording) -> list[str]:
