@@ -16,7 +16,7 @@ from hystfit.params.units import Scales, loop_energy, quantity
 from hystfit.reading import read
 from hystfit.reading.names.column_names import column_quantity
 from hystfit.reading.names.names_with_units import split_unit
-from hystfit.reading.table.signal_evidence import held_labels, held_levels
+from hystfit.reading.table.held_levels import held_labels, held_levels
 from hystfit.results.measured.loop_kinds import LoopKind
 from hystfit.results.measured.loop_values import quantities
 from hystfit.results.measured.steady_loops import Excitation

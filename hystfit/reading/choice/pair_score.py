@@ -16,13 +16,13 @@ from hystfit.data.circulation import OF_RATE, of_rate
 from hystfit.reading.choice.column_facts import HEATED, SOURCES, ByColumn, ColumnFacts, is_raw_signal
 from hystfit.reading.choice.quantity_points import DRIVE, LOADS, PAIRS, RESPONSE, SELDOM
 from hystfit.reading.names.column_names import has_terminals, is_bare_role
+from hystfit.reading.table.held_levels import levels_in_turn
 from hystfit.reading.table.raw_table import Table
 from hystfit.reading.table.signal_evidence import (
     computed,
     explained,
     extent,
     has_loop,
-    levels_in_turn,
     moves_at_rest,
     proportional,
     repeats,

@@ -12,16 +12,9 @@ from hystfit.outcome import Code, Note
 from hystfit.outcome.note import warn
 from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.curves.unseparated_curves import numbers_cycles
+from hystfit.reading.table.held_levels import held_labels, held_levels, levels_apart, levels_in_turn
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import (
-    explained,
-    held_labels,
-    held_levels,
-    levels_apart,
-    levels_in_turn,
-    states_strokes,
-    swings,
-)
+from hystfit.reading.table.signal_evidence import explained, states_strokes, swings
 
 _STATE = re.compile(r"status|state|code|flag|valid|error|range", re.IGNORECASE)  # of an instrument, which is no input
 _AGREES = 0.9  # part of the steps of the input that a column of its direction agrees with: not those by noise

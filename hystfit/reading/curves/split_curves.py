@@ -22,8 +22,9 @@ from hystfit.reading.curves.two_branches import mirrored
 from hystfit.reading.curves.unseparated_curves import curves_at_conditions
 from hystfit.reading.limits import FEWEST, MAJORITY, MOST_CURVES, MOST_LABELS, NEAR
 from hystfit.reading.names.names_with_units import split_unit
+from hystfit.reading.table.held_levels import held_labels
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import clock_goes_on, held_labels, jumps, states_strokes
+from hystfit.reading.table.signal_evidence import clock_goes_on, jumps, states_strokes
 
 
 def text_of(value: object) -> str:

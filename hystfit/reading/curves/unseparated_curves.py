@@ -15,8 +15,9 @@ from hystfit.reading.choice.chosen_columns import Choice
 from hystfit.reading.choice.column_facts import HEATED
 from hystfit.reading.limits import JUMP, NEAR, ODD, OF_RECORD
 from hystfit.reading.names.names_with_units import split_unit
+from hystfit.reading.table.held_levels import held_labels, levels_apart, levels_in_turn
 from hystfit.reading.table.raw_table import Table
-from hystfit.reading.table.signal_evidence import held_labels, levels_apart, levels_in_turn, swings
+from hystfit.reading.table.signal_evidence import swings
 
 _MOST = 100  # curves at temperatures of their own
 _HELD = 0.2  # of the change to the temperature before or after, up to which one drifts while it is held
