@@ -199,7 +199,9 @@ def _lag(record: Record) -> tuple[str, str] | None:
 def _undetermined(result: FitResult) -> str:
     names = [p.name for p in result.parameters if p.identifiable is False and p.at_bound is None]
     bounded = [p for p in result.parameters if p.at_bound is not None]
-    weights = sum("[" in p.name and p.value == 0 for p in bounded)
+    space = result.problem.space
+    of_elements = {name for name, is_weight in zip(space.names, space.weights, strict=True) if is_weight}
+    weights = sum(p.name in of_elements and p.value == 0 for p in bounded)
     text = "nothing" if not names else ", ".join(names[:NAMED])
     if len(names) > NAMED:
         count = f"{len(names)} of {len(result.free_names)} parameters"
