@@ -29,7 +29,6 @@ NOTHING = 1e-8
 # cost, among 1e-4, 1e-3, 1e-2, 0.1, 0.3 and 1.
 _LITTLE = 0.1
 ON_BOUND = 1e-6  # relative distance from a bound below which a bounded solver takes over, because z does not converge
-_FARTHEST = 500.0  # in z, beyond which the distance to the other bound is not told apart from infinity
 _EXCHANGES = 4  # of parameters at a bound in one step
 _EQUAL = 1e-12  # relative difference of two costs that rounding errors may cause; below it the linear model decides
 _CLOSE = 0.5  # relative excess over the cost of a converged lane, within which the linear model shows whether a lane can do better
@@ -185,7 +184,7 @@ def between_bounds(
 
 def to_bounds(z: Array, kinds: Any, xp: ModuleType) -> tuple[Array, Array]:
     """Distances to both bounds along the tangents of the maps at z, infinite without a bound; the lower one is negative."""
-    kind, grown = np.array(kinds), xp.exp(-xp.minimum(xp.abs(z), _FARTHEST))
+    kind, grown = np.array(kinds), xp.exp(-xp.abs(z))
     nearer = -(1.0 + grown)  # to the bound on whose side z is, and to the other
     farther = (1.0 + grown) / grown
     low = xp.where(z < 0, nearer, -farther)

@@ -72,7 +72,8 @@ def polish(
         floor = _floor(problem, at.x, samples, largest)
         if not np.isfinite(at.cost + floor):
             break
-        low, high = to_bounds(at.z[order], kinds[order], np)
+        with np.errstate(divide="ignore"):  # far beside one bound, the other one is at infinity
+            low, high = to_bounds(at.z[order], kinds[order], np)
         ordered, decrease = _step(at.factor, int(offsets.sum()), damping, low, high)
         converged = decrease <= gain * at.cost + floor
         step = np.zeros(z.size)
