@@ -244,13 +244,13 @@ def test_one_level_of_a_further_input_is_the_next_fit_and_check(tmp_path: Path) 
 def test_the_command_after_a_check_of_a_further_input_runs(
     noise: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Levels that were set are chosen by their value, and those of a measured current by a stretch of the time."""
+    """Levels that were set are chosen by their value, and those of a measured current become records."""
     rng = np.random.default_rng(0)
     measured = lambda k, p: 0.5 * k + noise * rng.normal(size=p.size)
     path = at_three_currents(tmp_path / "damper.csv", lambda k, p: (1 + 0.4 * k) * np.sin(p + 1.2), measured)
     assert run(["check", str(path), "--data-only"]) == 0
     command = shlex.split(capsys.readouterr().out.strip().splitlines()[-1])
     assert command[0] == "hystfit"
-    assert command[1:3] == ["fit" if noise else "check", str(path)]
-    more = ["--model", "linear+viscous"] if noise else ["--data-only"]  # these describe one level
-    assert run([*command[1:], *more]) == 0
+    assert command[1:3] == ["check", str(path)]
+    assert command[3].startswith("--by=" if noise else "--where=")
+    assert run([*command[1:], "--data-only"]) == 0

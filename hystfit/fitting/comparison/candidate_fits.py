@@ -85,9 +85,9 @@ class CandidateFits:
             one.first = one.first._replace(handicap=handicap)
 
     def _descended(self, model: AbstractHysteresis) -> tuple[First, tuple[AbstractHysteresis, ...]]:
-        """The first fit of a model without elements, by few starting points and steps that end early, and what its fit starts from.
+        """The first fit of a model without elements, by few starting points and steps that end early, and what it started from.
 
-        The latter is empty where that has more samples.
+        The latter is empty where the fit starts from more samples.
         """
         # A filter sees an input of coarser steps later: of a sweep to 50 Hz thinned samples left six times the error.
         fitted = thinned(self.data) if model.allows_thinning and model.rate_independent else self.data
@@ -100,8 +100,6 @@ class CandidateFits:
         estimate = solve(problem, method, starts, self.options.seed, points, self._worth(lowered, model))
         weight = np.asarray(problem.objective.batch.weight)
         rms = problem.scales.y * float(np.nan_to_num(np.sqrt(2 * estimate.cost / weight.sum()), nan=np.inf))
-        if not method.needs_starts:  # the fit goes on where the search has ended
-            points = (problem.space.assembled(estimate.x),)
         return First(rms, estimate.x.size, lowered=lowered), points if fitted is self.data else ()
 
     def excluded(self, one: Candidate) -> Row | None:

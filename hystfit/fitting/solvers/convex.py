@@ -31,11 +31,16 @@ class Convex(AbstractEstimator):
     Attributes:
         strengths: of the ridge, among which held-out groups choose.
         steps: of a search over nonlinear parameters.
+        brief: whether this is a first look at a model, with a single search.
     """
 
     needs_starts: ClassVar[bool] = False
     strengths: tuple[float, ...] = eqx.field(static=True, default=STRENGTHS)
     steps: int = eqx.field(static=True, default=40)
+    brief: bool = eqx.field(static=True, default=False)
+
+    def quick(self) -> Convex:
+        return dataclasses.replace(self, brief=True)
 
     def estimate(self, problem: Problem, starts: np.ndarray) -> Estimate:
         """See `AbstractEstimator.estimate`; the first start alone matters, because the weights need none."""
@@ -86,11 +91,12 @@ class Convex(AbstractEstimator):
         chosen = lambda x: fit_ridge(LinearSystem.of(problem, x), self.strengths)
         first = float(chosen(problem.space.physical(z)).strength)
         weak = min(self.strengths, key=lambda strength: abs(np.log(strength / 1e-6)))  # moves no lag
-        tried = [*dict.fromkeys((first, min(first, weak)))]
+        tried = [*dict.fromkeys((min(first, weak),) if self.brief else (first, min(first, weak)))]
         ended = [search(strength, z) for strength in tried]
         fits = [chosen(one.x) for one in ended]
         best = int(np.argmin([fit.score for fit in fits]))
-        if (strength := float(fits[best].strength)) != tried[best]:  # else the end would depend on the start
+        # Else the end would depend on the start.
+        if not self.brief and (strength := float(fits[best].strength)) != tried[best]:
             ended.append(search(strength, problem.space.unconstrained(problem.space.clip(ended[best].x))))
             best = len(ended) - 1
         return ended[best]._replace(evaluations=sum(one.evaluations for one in ended))
