@@ -47,8 +47,8 @@ def _first_order(kept: np.ndarray, columns: Float[np.ndarray, "T p"]) -> Float[n
         response[:, k, k] = 1.0
     out = response @ padded.reshape(blocks, _BLOCK, width)
     passed = np.cumprod(factors, axis=1)  # part of the last sample before a block
-    for before, (block, part) in zip(out, zip(out[1:], passed[1:], strict=True), strict=False):
-        block += np.multiply.outer(part, before[-1])
+    for k in range(1, blocks):
+        out[k] += np.multiply.outer(passed[k], out[k - 1, -1])
     return out.reshape(-1, width)[:count]
 
 

@@ -263,12 +263,9 @@ def ranked(rows: Sequence[Row], purpose: Purpose, floor: float = 0.0, *, equal: 
     # Rounding errors are no evidence.
     order = _plainest_first(alike, evidence=most > floor) + by_error[len(alike) :]
     sound = [row for row in order if row.status is Status.OK and _rank(row, purpose)[:-1] == kind]
-    if (
-        order[0].status is Status.ROUGH
-        and sound
-        and (best := min(sound, key=lambda row: row.score)).score <= order[0].score
-    ):
-        order = [best, *(row for row in order if row is not best)]
+    best = min(sound, key=lambda row: row.score, default=order[0])
+    if order[0].status is Status.ROUGH and best.score <= order[0].score:
+        return [best, *(row for row in order if row is not best)]
     return order
 
 

@@ -146,7 +146,7 @@ def _steps(point: Normal, damping: Array, samples: int, kinds: tuple[int, ...], 
         return ends - own * xp.linalg.solve(system, (own * gradient)[..., None])[..., 0]
 
     def slope(step: Array) -> Array:
-        """Derivative of the damped linear model, zero for parameters that are not moved."""
+        """Derivative of the damped linear model."""
         own = xp.where(scale > 0, scale, 1.0)
         return point.gradient + xp.einsum("...ij,...j->...i", point.matrix, step) + held * step / own**2
 

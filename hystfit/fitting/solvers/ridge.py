@@ -221,7 +221,6 @@ def eliminated(problem: Problem, x: np.ndarray, others: np.ndarray, strength: fl
     (w,), (positive,) = solve_normal(total, b, system.free, ridge[None])
     full = x.copy()
     full[linear_positions(problem)] = weights = np.where(normal.dead, 0.0, w / normal.scale) + normal.origins[0]
-
     left = system.columns @ weights - system.target
 
     def slopes() -> np.ndarray:
