@@ -21,6 +21,7 @@ from hystfit.inference.noise.slow_likelihood import (
     fit_slow_noise,
     fit_slow_noises,
     least_squares_root,
+    slow_solver,
 )
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import CHANCE, ResidualAnalysis, analyze
@@ -74,20 +75,39 @@ def test_even_samples_have_the_dense_covariance_in_cosine_coordinates(ratio, tim
     gap, rows = np.append(np.inf, np.full(n - 1, step)), np.random.default_rng(1).normal(size=(n, 3))
     apart = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     dense = weight * np.exp(-apart / time) + ratio * np.eye(n)
-    even = EvenRows.of([rows], gap, np.full(n, weight))
+    (even,) = EvenRows.of([rows], gap, np.full(n, weight))
     (gram,), (log_det,) = even.at(np.array([ratio]), np.array([time]))
     np.testing.assert_allclose(gram, rows.T @ np.linalg.solve(dense, rows), rtol=1e-9)
     assert log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-10)
 
 
-def test_only_one_even_record_of_one_weight_has_cosine_coordinates():
+def test_only_even_records_of_one_weight_each_have_cosine_coordinates():
     gap, rows, weight = np.append(np.inf, np.ones(9)), np.ones((10, 1)), np.ones(10)
     assert EvenRows.of([rows], gap, weight) is not None
-    for at, value in ((4, np.inf), (4, 1.001)):
-        uneven = gap.copy()
-        uneven[at] = value
-        assert EvenRows.of([rows], uneven, weight) is None
+    uneven = gap.copy()
+    uneven[4] = 1.001
+    assert EvenRows.of([rows], uneven, weight) is None
     assert EvenRows.of([rows], gap, np.append(weight[1:], 2.0)) is None
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 0.3, 1e6])
+@pytest.mark.parametrize("time", [0.2, 30.0, 1e4])
+def test_even_records_have_the_likelihood_of_the_tridiagonal_algebra(ratio, time):
+    """Three long ones of two lengths, and one of another step and weight."""
+    lengths, steps, weights = (3000, 1700, 3000, 3000), (1.0, 1.0, 1.0, 0.4), (1.0, 1.0, 1.0, 2.0)
+    gap = np.concatenate([np.append(np.inf, np.full(n - 1, step)) for n, step in zip(lengths, steps, strict=True)])
+    weight, n = np.repeat(weights, lengths), sum(lengths)
+    samples = Samples(np.ones((1, n), bool), gap, weight, np.zeros(n), np.zeros(n, bool))
+    rng = np.random.default_rng(11)
+    rows = np.column_stack([rng.normal(size=n), np.cumsum(rng.normal(size=n)) / 50, np.sin(np.arange(n) / 40)])
+    solve, log_det = slow_solver(samples, ratio, time)
+    groups = EvenRows.of([rows], gap, weight)
+    assert len(groups) == 3
+    grams, log_dets = zip(*(group.at(np.array([ratio]), np.array([time])) for group in groups), strict=True)
+    ideal = rows.T @ solve(np.asfortranarray(rows))
+    size = np.sqrt(np.diag(ideal))
+    np.testing.assert_allclose(sum(grams)[0] / size / size[:, None], ideal / size / size[:, None], atol=1e-9)
+    assert sum(log_dets)[0] == pytest.approx(log_det, rel=1e-10)
 
 
 def test_the_restricted_likelihood_is_that_of_the_filter():

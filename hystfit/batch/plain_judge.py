@@ -52,7 +52,7 @@ def _of_group(
     samples, p = Samples.of(Setting.on_host(Batch.of(Dataset.of(group.record)))), jacobian.shape[2]
     on = np.flatnonzero(samples.on[0])
     information, known = np.full((len(residual), p, p), np.nan), np.zeros(len(residual), bool)
-    size = max(1, BESIDE // ((p + 1) * (p + 2) // 2 * on.size))
+    size = max(1, BESIDE // ((p + 1) * on.size))
     shapes = curves(samples)
     for begin in range(0, len(residual), size):
         at = slice(begin, begin + size)

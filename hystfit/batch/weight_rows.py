@@ -196,7 +196,7 @@ def _analyses(
     for count in np.unique(counts).tolist():
         alike = np.flatnonzero(counts == count)
         p = count if count <= FEW else 0
-        for begin in range(0, alike.size, size := max(1, BESIDE // ((p + 1) * (p + 2) // 2 * len(columns)))):
+        for begin in range(0, alike.size, size := max(1, BESIDE // ((p + 1) * len(columns)))):
             at = alike[begin : begin + size]
             own = [columns[:, live[k]] * relative[k, live[k]] if p else none for k in at]
             noises = fit_slow_noises(Contrasts(samples, residual[at], np.linalg.qr(np.stack(own))[0], none))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import scipy  # loads its subpackages when they are first used, which optimize is not in most fits
@@ -154,14 +153,10 @@ class Contrasts:
     length: float = 1.0  # length scale of the shapes
 
     @functools.cached_property
-    def _even(self) -> EvenRows | None:
+    def _even(self) -> list[EvenRows] | None:
         lead = self.residual.shape[:-1]
         columns = [self.basis, self.residual[..., None], np.broadcast_to(self.shapes, (*lead, *self.shapes.shape))]
         return EvenRows.of(columns, self.samples.gap, self.samples.weight)
-
-    def take(self, which: Any) -> Contrasts:
-        """Those of some fits, or of one."""
-        return dataclasses.replace(self, residual=self.residual[which], basis=self.basis[which])
 
     @functools.cached_property
     def expected(self) -> Float[np.ndarray, "*N"]:
@@ -174,14 +169,15 @@ class Contrasts:
         return np.asarray(self.power * n / sum(squares))
 
     def at(
-        self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"]
+        self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"], fits: np.ndarray | None = None
     ) -> tuple[Float[np.ndarray, "*N m"], Float[np.ndarray, "*N m"], Float[np.ndarray, "*N m"]]:
         """(-2 log likelihood, variance of the slow part, that of the shapes' weights) at m ratios of white to slow variance, and times.
 
-        Both variances follow in closed form or on a grid: the former is the best one, the latter a mean over its posterior.
+        Both variances follow in closed form or on a grid: the former is the best one, the latter a mean over its posterior. With `fits` of
+        some of the fits alone, by their numbers.
         """
         n, p = self.basis.shape[-2:]
-        joint, log_det = self._joint(ratio, time)
+        joint, log_det = self._joint(ratio, time, fits)
         inside = joint[..., :p, :p]
         trace = np.trace(inside, axis1=-2, axis2=-1)
         factor = np.linalg.cholesky(inside + 1e-12 * trace[..., None, None] * np.eye(p))
@@ -193,34 +189,44 @@ class Contrasts:
             return (n - p) * np.log(square) + log_det, square, np.zeros(square.shape)
         size, axes = np.linalg.eigh(inner[..., 1:, 1:])
         size, score = np.maximum(size, 0.0)[..., None, :], (inner[..., :1, 1:] @ axes)
+        expected = self.expected if fits is None else self.expected[fits]
         strength = np.geomspace(1e-3, 1e6, 91) / size[..., -1]  # variance of the weights over that of the slow part
         shrunk = 1 + strength[..., None] * size
         left = inner[..., 0, 0, None] - np.sum(strength[..., None] * score**2 / shrunk, axis=-1)
         square = np.maximum(left, 1e-300) / (n - p)
         value = (n - p) * np.log(square) + np.sum(np.log(shrunk), axis=-1) + log_det[..., None]
-        value = value + np.log(strength * square / self.expected[..., None, None]) ** 2  # a factor e either way
+        value = value + np.log(strength * square / expected[..., None, None]) ** 2  # a factor e either way
         least = value.min(axis=-1)
         share = np.exp(-0.5 * (value - least[..., None]))
         share /= share.sum(axis=-1, keepdims=True)
         return least, np.sum(share * square, axis=-1), np.sum(share * strength * square, axis=-1)
 
     def _joint(
-        self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"]
+        self, ratio: Float[np.ndarray, "*N m"], time: Float[np.ndarray, "*N m"], fits: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """X' M^-1 X of basis, residual and shapes, shape (..., m, k, k), and log det M, shape (..., m)."""
         if self._even is not None:
-            return self._even.at(ratio, time)
-        if self.residual.ndim > 1:
-            rows = [self.take(k)._joint(ratio[k], time[k]) for k in range(len(self.residual))]
-            return np.stack([joint for joint, _ in rows]), np.stack([log_det for _, log_det in rows])
+            grams, log_dets = zip(*(rows.at(ratio, time, fits) for rows in self._even), strict=True)
+            return np.sum(grams, axis=0), np.sum(log_dets, axis=0)
+        if self.residual.ndim == 1:
+            return self._one([self.basis, self.residual, self.shapes], ratio, time)
+        numbers = range(len(self.residual)) if fits is None else fits.tolist()
+        rows = [
+            self._one([self.basis[k], self.residual[k], self.shapes], *point)
+            for k, *point in zip(numbers, ratio, time, strict=True)
+        ]
+        return np.stack([joint for joint, _ in rows]), np.stack([log_det for _, log_det in rows])
+
+    def _one(self, columns: list[np.ndarray], ratio: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         solvers = [slow_solver(self.samples, *point) for point in zip(ratio, time, strict=True)]
-        joint = [gram([self.basis, self.residual, self.shapes], solve) for solve, _ in solvers]
+        joint = [gram(columns, solve) for solve, _ in solvers]
         return np.stack(joint), np.array([log_det for _, log_det in solvers])
 
 
 def fit_slow_noise(contrasts: Contrasts) -> SlowNoiseFit:
     """The noise that maximizes the restricted likelihood, and those about it."""
-    return fit_slow_noises(contrasts.take(None))[0]
+    one = dataclasses.replace(contrasts, residual=contrasts.residual[None], basis=contrasts.basis[None])
+    return fit_slow_noises(one)[0]
 
 
 def fit_slow_noises(contrasts: Contrasts) -> list[SlowNoiseFit]:
@@ -228,10 +234,9 @@ def fit_slow_noises(contrasts: Contrasts) -> list[SlowNoiseFit]:
     samples, (count, n) = contrasts.samples, contrasts.residual.shape
     low, high = np.log([_LEAST, _SHORTEST]), np.log([_MOST, 4.0 * n])
     inside = lambda at: np.moveaxis(np.exp(np.clip(at, low, high)), -1, 0)
-    among = _Among(contrasts)
     times = np.log(np.geomspace(1.0, max(n / 4, 4.0), 5))
     tried = np.stack(np.meshgrid(np.log(_RATIOS), times, indexing="ij"), -1).reshape(-1, 2)
-    center, least, axes = _minima(lambda at, fits: among.values(fits, *inside(at)), tried, count, low, high)
+    center, least, axes = _minima(lambda at, fits: contrasts.at(*inside(at), fits)[0], tried, count, low, high)
     nodes, ideal = _nodes()
     about = center[:, None] + np.concatenate([np.zeros((count, 1, 2)), nodes @ axes.swapaxes(1, 2)], axis=1)
     values, slow, loop = contrasts.at(*inside(about))
@@ -247,23 +252,6 @@ def fit_slow_noises(contrasts: Contrasts) -> list[SlowNoiseFit]:
         first, *others = (noise(*one) for one in zip(*rows, strict=True))
         made.append(SlowNoiseFit(first, tuple(others), share / share.sum()))
     return made
-
-
-class _Among:
-    """Values of some of the fits of `Contrasts`; those that are no longer asked for leave when half of them have."""
-
-    def __init__(self, contrasts: Contrasts):
-        self.all = self.now = contrasts
-        self.fits = np.arange(len(contrasts.residual))
-
-    def values(self, fits: np.ndarray, ratio: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """-2 log likelihood of fits, whose numbers rise, at m points of each, shape (len(fits), m)."""
-        if 2 * fits.size <= self.fits.size:
-            self.now, self.fits = self.all.take(fits), fits
-        place = np.searchsorted(self.fits, fits)
-        points = np.ones((2, self.fits.size, ratio.shape[1]))
-        points[:, place] = ratio, time
-        return self.now.at(*points)[0][place]
 
 
 def _minima(
