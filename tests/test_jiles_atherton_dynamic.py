@@ -140,13 +140,15 @@ def test_a_fit_of_three_frequencies_separates_the_losses_from_the_pinning() -> N
 
 
 def test_records_of_any_length_start_by_one_program(monkeypatch):
-    """Each length was compiled anew: 2 s for each of 53 records."""
-    shapes = set[tuple[int, ...]]()
+    """Each length was compiled anew, 2 s for each of 53 records; then the padding up to that of a program for all was simulated too."""
+    shapes, counts = set[tuple[int, ...]](), []
     shifted = jiles_atherton_dynamic._shifted
     monkeypatch.setattr(
         jiles_atherton_dynamic,
         "_shifted",
-        lambda plain, grid, u, rate: shapes.add(u.shape) or shifted(plain, grid, u, rate),
+        lambda plain, grid, u, rate, count: (
+            shapes.add(u.shape) or counts.append(int(count)) or shifted(plain, grid, u, rate, count)
+        ),
     )
     records = []
     for number, samples in enumerate((150, 170, 190)):
@@ -155,3 +157,4 @@ def test_records_of_any_length_start_by_one_program(monkeypatch):
         records.append(hf.Record(u=u, y=np.tanh(2 * u), t=t, name=f"run {number}"))
     JilesAthertonDynamic().start(records)
     assert len(shapes) == 1
+    assert counts == [150, 170, 190]

@@ -111,7 +111,9 @@ class JilesAthertonDynamic(JilesAtherton):
         grid = half * np.array(list(itertools.product(_SHARES, _SHARES))) / [fastest, fastest**0.5]
         plain = dataclasses.replace(law, Ms=1.0, slope=0.0, offset=0.0, e=_ROUNDED * fastest)
         # Records of any length share one program.
-        inputs = [(in_room(r.u, hold=True), in_room(rate)) for r, rate in zip(short, rates, strict=True)]
+        inputs = [
+            (in_room(r.u, hold=True), in_room(rate), np.int64(len(r))) for r, rate in zip(short, rates, strict=True)
+        ]
         runs = [
             np.asarray(_shifted(plain, grid, *one))[:, : len(r)][:, r.used]
             for one, r in zip(inputs, short, strict=True)
@@ -147,14 +149,21 @@ class JilesAthertonDynamicStep(AbstractStepInverse):
 
 @compiled
 def _shifted(
-    plain: JilesAthertonDynamic, grid: Float[Array, "n 2"], u: Float[Array, " T"], rate: Float[Array, " T"]
+    plain: JilesAthertonDynamic,
+    grid: Float[Array, "n 2"],
+    u: Float[Array, " T"],
+    rate: Float[Array, " T"],
+    count: Array,
 ) -> Float[Array, "n T"]:
-    """M / Ms of the static law under an input less the dynamic fields of a measured rate, for rows (eddy, excess) of a grid."""
+    """M / Ms of the static law under an input less the dynamic fields of a measured rate, for rows (eddy, excess) of a grid.
+
+    Of the first `count` samples; what is behind them is padding.
+    """
 
     def one(row: Array) -> Array:
         inside = u - dataclasses.replace(plain, eddy=row[0], excess=row[1]).dynamic(rate)
         law = JilesAtherton(**{name: getattr(plain, name) for name in _LAW}, curve=plain.curve)  # type: ignore[arg-type]
-        return run(law, inside, jnp.zeros_like(u))[0]
+        return run(law, inside, jnp.zeros_like(u), count=count)[0]
 
     return jax.vmap(one)(grid)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,11 +14,13 @@ from hystfit.fitting.solvers.polish import STEPS, polish
 from hystfit.fitting.solvers.registry import ESTIMATORS
 from hystfit.fitting.solvers.ridge import LinearSystem, fit_ridge, linear_positions
 from hystfit.fitting.solvers.smooth_weights import left_out_scores
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.noise.slow_likelihood import Contrasts, fit_slow_noise
 from hystfit.inference.problem import Problem
 from hystfit.inference.residuals import ResidualAnalysis
 from hystfit.quality.held_out import FOLDS, Scheme, future
 from hystfit.results.result import FitResult
+from hystfit.runs.threads import Workers
 
 # Part of the effect of a parameter on all samples, below which the others do not determine it, such as an initial state that they have
 # forgotten: its standard error would be a hundred times as large.
@@ -82,33 +85,42 @@ def _refitted(
 
     Parameters that the other side does not determine keep their value in x. Infinite where it is larger than `most`.
     """
-    z = problem.space.unconstrained(problem.space.clip(x))
+    z, workers = problem.space.unconstrained(problem.space.clip(x)), Workers()
     descends = method == "lm" or (method == "convex" and not len(linear_positions(problem)))
-    effects = _effects(problem, x) if descends else np.zeros(0)
-    weighed = [
+    effects = _effects(problem.linearization(x)) if descends else np.zeros(0)
+    held = [
         (mask & record.used, record) for _, asked in splits for mask, record in zip(asked, problem.data, strict=True)
     ]
-    squares, total = 0.0, sum(float(record.weight[held].sum()) for held, record in weighed)
-    for seen, asked in splits:
+    squares, total = 0.0, sum(float(record.weight[mask].sum()) for mask, record in held)
+
+    def refitted(seen: list[np.ndarray], asked: list[np.ndarray]) -> float:
+        """Squares of the errors on the asked side."""
         training = problem.reweighted([r.weight * mask for mask, r in zip(seen, problem.data, strict=True)])
         if descends:
-            lost = _effects(training, x) < _LOST * effects
-            fitted = training.space.physical(polish(training, z, STEPS, _WITHIN, held=lost, step_on=True).z)
+            known = training.linearization(x)
+            lost = _effects(known) < _LOST * effects
+            fitted = training.space.physical(
+                polish(training, z, STEPS, _WITHIN, held=lost, step_on=True, known=known).z
+            )
         else:
             fitted = ESTIMATORS.make(method).estimate(training, z[None]).x
-        predicted = training.predict(_with_absent_records(problem, x, fitted, training.idle))
+        predicted, missed = training.predict(_with_absent_records(problem, x, fitted, training.idle)), 0.0
         for mask, record, y in zip(asked, problem.data, predicted, strict=True):
-            held = mask & record.used
+            at = mask & record.used
             with np.errstate(over="ignore"):  # of a refit that diverges
-                squares += float(np.sum(record.weight[held] * (y - record.y)[held] ** 2))
+                missed += float(np.sum(record.weight[at] * (y - record.y)[at] ** 2))
+        return missed
+
+    for begin in range(0, len(splits), workers.count):
+        squares += sum(workers.run([functools.partial(refitted, *split) for split in splits[begin:][: workers.count]]))
         if squares > most**2 * total:
             return np.inf
     return float(np.sqrt(squares / total)) if total else float("nan")
 
 
-def _effects(problem: Problem, x: np.ndarray) -> Float[np.ndarray, " p"]:
+def _effects(linear: Linearization) -> Float[np.ndarray, " p"]:
     """Root of the sum of squared changes of the samples that count by each parameter."""
-    return np.linalg.norm(problem.linearization(x).triangle(), axis=0)
+    return np.linalg.norm(linear.triangle(), axis=0)
 
 
 def _with_absent_records(

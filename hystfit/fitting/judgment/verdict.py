@@ -241,7 +241,8 @@ def _branches_coincide(fitted: Fitted) -> bool:
         return False
     if fitted.percent > POOR and not is_noise(scatter, fitted.baselines):
         return False
-    return all((quality.shape is None or quality.single_valued) and not quality.dynamic for quality in fitted.qualities)
+    found = map(summarize, fitted.parts)  # as far as needed: one open loop tells
+    return all((quality.shape is None or quality.single_valued) and not quality.dynamic for quality in found)
 
 
 def _poor_fit_reason(fitted: Fitted, unexplained: bool) -> tuple[Status, list[Note]] | None:

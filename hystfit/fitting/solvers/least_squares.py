@@ -16,6 +16,7 @@ from hystfit.fitting.solvers.lanes import Ends, Stack, descend_lanes, go_on
 from hystfit.fitting.solvers.levenberg_marquardt import ON_BOUND
 from hystfit.fitting.solvers.polish import EXACT, STEPS, polish
 from hystfit.fitting.solvers.thinning import thin
+from hystfit.inference.linearization import Linearization
 from hystfit.inference.normal import Normal
 from hystfit.inference.objective import Objective
 from hystfit.inference.problem import Problem
@@ -39,8 +40,8 @@ class LeastSquares(AbstractEstimator):
 
     Every start gets one round of steps, in which most reach their basin; the best and the first start get further rounds. Long records are
     thinned for this (`hystfit.fitting.solvers.thinning`). The best point is then polished on all samples
-    (`hystfit.fitting.solvers.polish`). A parameter at its bound does not converge in unconstrained coordinates: the bounded trust region
-    then finishes the fit.
+    (`hystfit.fitting.solvers.polish`). A parameter near its bound that would leave it does not move in unconstrained coordinates: the
+    bounded trust region then finishes the fit.
 
     Attributes:
         method: "lm" or "dogleg".
@@ -89,7 +90,7 @@ class LeastSquares(AbstractEstimator):
             steps, costs = steps + more, costs if short is None else costs * (cost / costs[number])
             costs[number] = cost
         x = problem.space.physical(z)
-        if success and np.isfinite(z).all() and not any(problem.at_bound(x, ON_BOUND)):
+        if success and np.isfinite(z).all() and _held_by_bounds(problem, x, linearized):
             return Estimate(x, float(costs[number]), True, "converged", steps, costs, linearized=linearized)
         finished = TrustRegion().estimate(problem, np.asarray(z)[None])
         message = "finished by the bounded trust region" if finished.converged else finished.message
@@ -104,6 +105,17 @@ class LeastSquares(AbstractEstimator):
         count, p = z.shape
         normal = Normal(z, cost, np.zeros((count, p)), np.zeros((count, p, p)))  # type: ignore[arg-type]
         return Ends(normal, converged, taken, cost.copy(), np.zeros(count, bool), np.zeros(count), np.zeros(count))
+
+
+def _held_by_bounds(problem: Problem, x: np.ndarray, linearized: Linearization | None) -> bool:
+    """Whether the cost would rise if any parameter at a bound left it; `linearized` is the problem at physical x, if known."""
+    low, high = problem.space.reached(x, ON_BOUND)
+    if not (low | high).any():
+        return True
+    if linearized is None:
+        return False
+    slope = linearized.gradient()
+    return bool(np.all(slope[low] > 0) and np.all(slope[high] < 0))
 
 
 def dogleg() -> LeastSquares:

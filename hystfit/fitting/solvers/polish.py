@@ -52,13 +52,14 @@ def polish(
     *,
     held: np.ndarray | None = None,
     step_on: bool = False,
+    known: Linearization | None = None,
 ) -> Polished:
     """Minimize half the sum of squared misfits from an unconstrained point near the minimum, by so many linearizations at most.
 
     It factorizes the Jacobian, because normal equations would square its condition. Offsets of records are not damped: if an input or
     output is far from zero, damped offsets would slow down all other parameters. The fit has converged `within` this distance from the
     minimum, in standard errors of the linear model; with `step_on` it ends at the minimum of that model, without another linearization.
-    Parameters that are `held`, shape (p,), are not moved.
+    Parameters that are `held`, shape (p,), are not moved. `known` is `Problem.linearization` at the first point, if known.
     """
     offsets = problem.space.offsets
     order, kinds = np.argsort(~offsets, kind="stable"), problem.space.kinds
@@ -66,7 +67,7 @@ def polish(
     samples = int(problem.used.sum())
     largest = max(*(np.abs(record.y[record.used]).max(initial=0.0) for record in problem.data), problem.scales.y)
     gain = gain_within(within, samples)
-    at, damping, converged, evaluations = _linearize(problem, z, order, samples, held), 1e-6, False, 1
+    at, damping, converged, evaluations = _linearize(problem, z, order, samples, held, known), 1e-6, False, 1
     linearized = at.linearized
     while evaluations < steps:
         floor = _floor(problem, at.x, samples, largest)
@@ -121,11 +122,16 @@ def _floor(problem: Problem, x: np.ndarray, samples: int, largest: float) -> flo
 
 
 def _linearize(
-    problem: Problem, z: np.ndarray, order: np.ndarray, samples: int, held: np.ndarray | None
+    problem: Problem,
+    z: np.ndarray,
+    order: np.ndarray,
+    samples: int,
+    held: np.ndarray | None,
+    known: Linearization | None = None,
 ) -> _Linearized:
     """Linearize the problem at z, with the columns of J in the given order; the factor is empty if the cost is not finite."""
     x, bounded = problem.space.physical(z), problem.space.kinds != REAL
-    linear = problem.linearization(x)
+    linear = problem.linearization(x) if known is None else known
     with np.errstate(over="ignore", invalid="ignore"):  # such a step is rejected
         cost = 0.5 * float(linear.misfit @ linear.misfit)
         if not np.isfinite(cost):
