@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.quality.loops import SEVERAL, clear_reversals, cycles
 from hystfit.quality.record_quality import WHOLE, RecordQuality
-from hystfit.quality.summary import summarize, without_outliers
+from hystfit.quality.summary import losses, without_outliers
 
 FAILED = 0.8  # of the largest force, to which that of later peaks has fallen at failure (ASTM E2126)
 
@@ -27,7 +29,7 @@ def whole_until(record: Record, quality: RecordQuality) -> float | None:
     ends = (cycles(record.u, quality.motion.threshold)[:, -1] + 1).tolist()
 
     def sound(end: int) -> bool:
-        part = summarize(record.segment(0, end))
+        part = dataclasses.replace(quality, **losses(record.segment(0, end)))  # of the same device
         return not part.degrading and (part.stiffness_left is None or part.stiffness_left >= WHOLE)
 
     low, high = SEVERAL, len(ends)

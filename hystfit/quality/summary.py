@@ -80,16 +80,21 @@ def summarize(record: Record) -> RecordQuality:
 @_once
 def may_change(record: Record) -> bool:
     """Whether the device may degrade: a first look, in a fraction of the time of `summarize`."""
+    limits = {"stiffness_left": WHOLE, "strength_left": WEAKER, "unloading_left": SOFTER, "softening_left": WEAKER}
+    return any(left is not None and left < limits[name] for name, left in losses(record).items())
+
+
+def losses(record: Record) -> dict[str, float | None]:
+    """What later cycles have left of the device, by the fields of `RecordQuality`."""
     u, sound, t = record.u, _without_spikes(record), record.t
     threshold = _threshold(_column(u))
-    turns, cycles = geometry.reversals(u, threshold), geometry.cycles(u, threshold)
-    parts = (
-        (stiffness_left(u, sound, t, cycles, threshold), WHOLE),
-        (strength_left(u, sound, cycles), WEAKER),
-        (unloading_left(u, sound, cycles, threshold), SOFTER),
-        (softening_left(u, sound, turns), WEAKER),
-    )
-    return any(left is not None and left < whole for left, whole in parts)
+    cycles = geometry.cycles(u, threshold)
+    return {
+        "stiffness_left": stiffness_left(u, sound, t, cycles, threshold),
+        "strength_left": strength_left(u, sound, cycles),
+        "unloading_left": unloading_left(u, sound, cycles, threshold),
+        "softening_left": softening_left(u, sound, geometry.reversals(u, threshold)),
+    }
 
 
 @_once
@@ -195,15 +200,12 @@ def _summarize(record: Record) -> RecordQuality:
         drift=drifts,
         lag=lag,
         rate_effect=rate_effect(u, y, t, cycles),
-        stiffness_left=stiffness_left(u, sound, t, cycles, motion.threshold),
-        strength_left=strength_left(u, sound, cycles),
-        unloading_left=unloading_left(u, sound, cycles, motion.threshold),
-        softening_left=softening_left(u, sound, turns),
         dynamics=dynamics,
         clipped=int(clipped_samples(u, y).sum()),
         spikes=int(outliers_of(record).size),
         slow_lag=slow_lag,
         output_controlled=controls_output(u, y, turns),
+        **losses(record),
     )
 
 
