@@ -7,7 +7,6 @@ import weakref
 from collections.abc import Iterable
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -16,6 +15,7 @@ from hystfit.config import platform, shares_programs
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
 from hystfit.params.host_arrays import to_device, zeros
+from hystfit.params.plain_module import PlainModule
 
 _SMALLEST, _LONG = 64, 4096
 _ROOM = 4096  # samples of all records up to which all lengths share the arrays of a program: 0.1 MB for each derivative
@@ -59,7 +59,7 @@ def in_room(values: np.ndarray, *, hold: bool = False) -> np.ndarray:
     return row
 
 
-class Batch(eqx.Module):
+class Batch(PlainModule):
     """Arrays of one or more records; no labels, which would be keys of the compilation cache."""
 
     u: Float[Array, "R T"]  # u, y, dt: shape (R, T); u is padded with its last value, dt and y with 0, missing y are 0

@@ -19,13 +19,14 @@ from hystfit.models.shared.shapes import Scalar
 from hystfit.models.shared.simulation import run
 from hystfit.params.coordinates import Coordinates
 from hystfit.params.host_arrays import compiled, to_device
+from hystfit.params.plain_module import PlainModule
 
 Loss = Literal["linear", "huber", "soft-l1", "cauchy"]
 _STEEPEST = 1e100  # slope beyond which a derivative counts as infinite: its square is still a finite number
 BROKEN = 1e3  # value of residuals that are not finite, in half ranges of the output
 
 
-class Objective(eqx.Module):
+class Objective(PlainModule):
     """Arrays and structure of a `Problem`, without labels; misfits are divided by `size`, half the range of the output.
 
     `bend` is the misfit above which a robust loss reduces the influence of a residual; "linear" is plain least squares.

@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from hystfit.params.host_arrays import to_device
+from hystfit.params.plain_module import PlainModule
 
 REAL, LOWER, UPPER, BOTH = range(4)
 
@@ -51,7 +52,7 @@ def _slope(z: Any, lower: Any, upper: Any, scale: Any, kinds: tuple[int, ...], x
 _slope_traced = functools.partial(jax.jit, static_argnums=4, inline=True)(_slope)
 
 
-class Coordinates(eqx.Module):
+class Coordinates(PlainModule):
     """The traced half of a `ParameterSpace`: arrays and structure without labels, which would cause compilations."""
 
     leaves: tuple[Any, ...]  # all leaves of the template tree

@@ -6,7 +6,6 @@ import abc
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,9 +18,10 @@ from hystfit.errors import ModelError, ParameterError
 from hystfit.models.shared.sample_scan import first_samples, scan_samples
 from hystfit.models.shared.shapes import Scalar, Signal, State
 from hystfit.params.host_arrays import compiled
+from hystfit.params.plain_module import PlainModule
 
 
-class AbstractDynamics(eqx.Module):
+class AbstractDynamics(PlainModule):
     """The interface of a model for simulation: `init` and `step` are required, the rest has defaults.
 
     The state is ONE array of one dimension: many small leaves in a scan carry make its gradient up to 80 times slower.
