@@ -538,7 +538,7 @@ def cycler(kind: str, *, charging: bool) -> str:
         "biologic": ("N,time/s,Ns,control/mA,Ewe/V,Q charge/mA.h,Q discharge/mA.h,Energy/W.h", [voltage, up, down, up]),
         "neware": ("Record,Time(s),Step,Current(A),Voltage(V),Capacity(Ah),Energy(Wh),Chg", [voltage, grown, grown * 3.3, 0 * grown]),
         "chinese": ("数据序号,时间(s),工步,电流(A),电压(V),充电容量(Ah),放电容量(Ah),能量(Wh)", [voltage, up, down, up]),
-        "bdf": ("test_index,test_time_second,step_index,current_ampere,voltage_volt,charging_capacity_ah,discharging_capacity_ah,power_watt",
+        "bdf": ("test_index,test_time_second,step_index,current_ampere,voltage_volt,charging_capacity_ah,discharging_capacity_ah,power",
                 [voltage, up, down, up]),
         "signed": ("N,time/s,Ns,control/mA,Ewe/V,(Q-Qo)/mA.h,x,Energy/W.h", [voltage, up - down, 0 * up, up]),
         "maccor": ("Rec#,Test (Sec),Step,Amps,Volts,Amp-hr,Watt-hr,Temp 1", [voltage, grown, grown * 3.3, 0 * grown + 25]),

@@ -239,7 +239,9 @@ def test_levels_of_a_load_are_held_through_the_noise_of_its_control(noise: float
     loads = np.repeat([-220.0, -660, -1100], 400)
     found = held_levels(loads + 880 * noise * RNG.normal(size=loads.size))
     np.testing.assert_allclose([level for level, _, _ in found], [-1100, -660, -220], atol=10)
-    np.testing.assert_allclose([(first, stop) for _, first, stop in found], [(800, 1200), (400, 800), (0, 400)], atol=25)
+    np.testing.assert_allclose(
+        [(first, stop) for _, first, stop in found], [(800, 1200), (400, 800), (0, 400)], atol=25
+    )
 
 
 def test_held_levels_of_signals() -> None:
