@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -77,6 +79,26 @@ def test_without_damage_it_is_bouc_wen() -> None:
     found = hf.simulate(hf.BoucWenBaberNoori(**plain, zs=0.0, substeps=16), u)[0]
     force = hf.BoucWenForce(kappa_x=0.4, kappa_w=8.0, rho=1 / 1.5, sigma=0.7, n=1.3, substeps=16)
     np.testing.assert_allclose(np.asarray(found), np.asarray(hf.simulate(force, u)[0]), atol=1e-4 * 8)
+
+
+@pytest.mark.parametrize("n", [0.5, 0.9])
+@pytest.mark.parametrize("kind", [hf.BoucWenBaberNoori, hf.AsymmetricBoucWen])
+def test_steps_through_zero_are_smooth_below_a_linear_knee(kind: type, n: float) -> None:
+    """Of the equation, the output after a reversal changes by less than the input at which it was; a power below zero had poles there."""
+    own = (
+        {"kappa_x": 0.0, "zy": 1.0, "substeps": 1}
+        if kind is hf.BoucWenBaberNoori
+        else {"c": 1.0, "mu": 1.0, "tau": 1.0}
+    )
+    model = kind(**own, n=n)
+
+    def after_reversal(turn: jax.Array) -> jax.Array:
+        state, _ = model.step(model.init(0.0 * turn), 0.0 * turn, -turn, 1.0 + 0.0 * turn)
+        return model.step(state, -turn, 0.3 - turn, 1.0 + 0.0 * turn)[1]
+
+    turns = jnp.linspace(0.05, 0.29, 2401)
+    change = np.diff(np.asarray(jax.vmap(after_reversal)(turns))) / np.diff(np.asarray(turns))
+    assert -1.2 < change.min() < change.max() < 0
 
 
 @settings(max_examples=20, deadline=None)
