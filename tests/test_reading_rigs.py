@@ -318,6 +318,7 @@ def test_the_question_about_columns_without_names_begins_with_the_pair_that_belo
         ("Volts", "Volts", "V^2"),
         ("Amps", "pounds", "lbf A"),
         ("V", "um", "um V"),
+        ("V vs. Ref.", "mA", "mA V"),
         ("Kelvin", "Degrees", "deg K"),
         ("V", "", ""),
         ("kN", "mV/V", "mV/V kN"),  # a calibration: the signal of a bridge is no strain
