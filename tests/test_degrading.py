@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
+from hystfit.results.report.text_report import verdict
 
 WALL = {"kappa_x": 0.4, "kappa_w": 8.0, "zy": 1.5, "beta": 0.7, "n": 1.3, "dnu": 0.004, "deta": 0.02}
 PINCH = {"zs": 0.9, "p": 0.05, "q": 0.1, "psi": 0.25}
@@ -129,6 +130,21 @@ def test_baber_noori_finds_its_parameters() -> None:
         assert abs(rows[name].value - true) < 3.5 * rows[name].stderr, name
     derived = {row.name: row for row in result.derived}
     assert derived["k"].value == pytest.approx(0.4 + 8.0 / 1.5, rel=0.03)
+
+
+def test_a_steady_loop_that_a_damaged_device_has_no_more_is_no_error_of_the_model() -> None:
+    """The model has the loops of these cycles, and a higher one of a device without damage."""
+    u = cycles((3.0, 6.0, 9.0, 9.0, 9.0, 9.0), 60)
+    model = hf.BoucWenBaberNoori(**{**WALL, "dnu": 0.01, "deta": 0.04}, **PINCH)
+    y = np.asarray(hf.simulate(model, u)[0])
+    result = hf.fit(
+        model, hf.Record(u=u, y=y + 0.002 * np.ptp(y) * np.random.default_rng(2).normal(size=y.size)), starts=1
+    )
+    differing = {one.name for one in result.quantities if one.differs}
+    assert "stroke" in differing
+    told = [note for note in verdict(result) if note.code is Code.QUANTITY_DIFFERS]
+    assert len(told) == len(differing)
+    assert {note.severity for note in told} == {Severity.INFO}
 
 
 def test_behind_a_mirrored_input_it_starts_from_the_same_points() -> None:
