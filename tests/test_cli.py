@@ -76,6 +76,20 @@ def fitted(folder, loop) -> Path:
     return out
 
 
+def test_branches_without_names_in_a_file_each_are_one_loop(tmp_path, capsys):
+    """The field rises in even steps in one file, as a time does, and falls in the other."""
+    field = np.linspace(-20, 20, 60)
+    noise = 0.01 * np.random.default_rng(1).normal(size=(2, 60))
+    for name, sign, rough in (("up", 1, noise[0]), ("down", -1, noise[1])):
+        branch = np.column_stack([sign * field, np.tanh((sign * field - sign * 3) / 5) + rough])
+        np.savetxt(tmp_path / f"{name}.txt", branch, fmt="%.4f", delimiter="\t")
+    assert run(["check", str(tmp_path / "up.txt")]) == 2
+    assert "INPUT_FILE+" in capsys.readouterr().err
+    assert run(["check", str(tmp_path / "up.txt"), str(tmp_path / "down.txt"), "--json"]) == 0
+    (record,) = json.loads(capsys.readouterr().out)["records"]
+    assert record["sampling"]["n"] == 120
+
+
 # -- fit -----------------------------------------------------------------------------------------------------------------
 
 

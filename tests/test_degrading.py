@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,8 +14,9 @@ from hypothesis import strategies as st
 
 import hystfit as hf
 from hystfit.errors import ModelError
-from hystfit.outcome import Code, Status
+from hystfit.outcome import Code, Severity, Status
 from hystfit.outcome.note import has
+from hystfit.results.report.text_report import verdict
 
 WALL = {"kappa_x": 0.4, "kappa_w": 8.0, "zy": 1.5, "beta": 0.7, "n": 1.3, "dnu": 0.004, "deta": 0.02}
 PINCH = {"zs": 0.9, "p": 0.05, "q": 0.1, "psi": 0.25}
@@ -79,6 +82,26 @@ def test_without_damage_it_is_bouc_wen() -> None:
     np.testing.assert_allclose(np.asarray(found), np.asarray(hf.simulate(force, u)[0]), atol=1e-4 * 8)
 
 
+@pytest.mark.parametrize("n", [0.5, 0.9])
+@pytest.mark.parametrize("kind", [hf.BoucWenBaberNoori, hf.AsymmetricBoucWen])
+def test_steps_through_zero_are_smooth_below_a_linear_knee(kind: type, n: float) -> None:
+    """Of the equation, the output after a reversal changes by less than the input at which it was; a power below zero had poles there."""
+    own = (
+        {"kappa_x": 0.0, "zy": 1.0, "substeps": 1}
+        if kind is hf.BoucWenBaberNoori
+        else {"c": 1.0, "mu": 1.0, "tau": 1.0}
+    )
+    model = kind(**own, n=n)
+
+    def after_reversal(turn: jax.Array) -> jax.Array:
+        state, _ = model.step(model.init(0.0 * turn), 0.0 * turn, -turn, 1.0 + 0.0 * turn)
+        return model.step(state, -turn, 0.3 - turn, 1.0 + 0.0 * turn)[1]
+
+    turns = jnp.linspace(0.05, 0.29, 2401)
+    change = np.diff(np.asarray(jax.vmap(after_reversal)(turns))) / np.diff(np.asarray(turns))
+    assert -1.2 < change.min() < change.max() < 0
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     st.lists(st.floats(-6.0, 6.0), min_size=8, max_size=8), st.floats(0.5, 4.0), st.floats(0.4, 5.0), st.floats(0, 0.99)
@@ -107,6 +130,21 @@ def test_baber_noori_finds_its_parameters() -> None:
         assert abs(rows[name].value - true) < 3.5 * rows[name].stderr, name
     derived = {row.name: row for row in result.derived}
     assert derived["k"].value == pytest.approx(0.4 + 8.0 / 1.5, rel=0.03)
+
+
+def test_a_steady_loop_that_a_damaged_device_has_no_more_is_no_error_of_the_model() -> None:
+    """The model has the loops of these cycles, and a higher one of a device without damage."""
+    u = cycles((3.0, 6.0, 9.0, 9.0, 9.0, 9.0), 60)
+    model = hf.BoucWenBaberNoori(**{**WALL, "dnu": 0.01, "deta": 0.04}, **PINCH)
+    y = np.asarray(hf.simulate(model, u)[0])
+    result = hf.fit(
+        model, hf.Record(u=u, y=y + 0.002 * np.ptp(y) * np.random.default_rng(2).normal(size=y.size)), starts=1
+    )
+    differing = {one.name for one in result.quantities if one.differs}
+    assert "stroke" in differing
+    told = [note for note in verdict(result) if note.code is Code.QUANTITY_DIFFERS]
+    assert len(told) == len(differing)
+    assert {note.severity for note in told} == {Severity.INFO}
 
 
 def test_behind_a_mirrored_input_it_starts_from_the_same_points() -> None:

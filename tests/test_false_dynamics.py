@@ -148,3 +148,16 @@ def test_finely_sampled_plays_neither_lead_nor_lag(per_cycle: int) -> None:
     noisy = np.array(y) + 0.005 * np.random.default_rng(0).normal(size=t.size)
     record = hf.Record(u=u, y=noisy, t=t, u_unit="V", y_unit="um")
     assert not codes(record) & {Code.LAG, Code.SPEED_DEPENDENT}
+
+
+@pytest.mark.parametrize("amplitude", [0.7, 1.0])
+def test_a_saturated_output_neither_leads_nor_lags(amplitude: float) -> None:
+    """Relays that have all switched before the input turns: the output rests there, and tells nothing of a delay."""
+    rng = np.random.default_rng(5)
+    middle, half = rng.normal(0, 0.2, 1500), np.abs(rng.normal(0.12, 0.04, 1500))
+    u = amplitude * np.sin(2 * np.pi * np.arange(1000) / 500)
+    state, y = np.where(middle < 0, 1.0, -1.0), []
+    for drive in u:
+        state = np.where(drive > middle + half, 1.0, np.where(drive < middle - half, -1.0, state))
+        y.append(0.36 * state.mean())
+    assert estimate_lag(u, np.array(y), 4e-5, reversals(u, 0.05)) is None

@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import warnings
 
 import jax
 import numpy as np
@@ -14,11 +15,12 @@ from hystfit.data.dataset import Dataset
 from hystfit.fitting.fit_setup import started_problem
 from hystfit.fitting.solvers import lanes
 from hystfit.fitting.solvers.lanes import Stack, descend_lanes
-from hystfit.fitting.solvers.levenberg_marquardt import between_bounds
+from hystfit.fitting.solvers.levenberg_marquardt import between_bounds, to_bounds
 from hystfit.fitting.solvers.multistart import starting_vectors
 from hystfit.inference.normal import normal_at, normal_in_scan, normal_on_host, suits_one_scan
 from hystfit.inference.problem import Problem
 from hystfit.models.base import AbstractHysteresis
+from hystfit.params.coordinates import BOTH
 
 SAMPLES = 150
 MODELS = [
@@ -254,6 +256,15 @@ def test_a_parameter_at_its_bound_does_not_slow_down_a_descent(seed: int) -> Non
     assert ends.steps[0] < 150
     within = scipy.optimize.least_squares(posed.misfit, x, bounds=(space.lower, space.upper), max_nfev=300)
     assert ends.cost[0] < within.cost * (1 + 1e-4)
+
+
+def test_a_far_bound_is_at_infinity_without_a_warning() -> None:
+    """From coordinates at which the nearer of two bounds is reached to all digits."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        low, high = to_bounds(np.array([-800.0, 800.0]), np.array([BOTH, BOTH]), np)
+    np.testing.assert_array_equal(low, [-1.0, -np.inf])
+    np.testing.assert_array_equal(high, [np.inf, 1.0])
 
 
 def test_steps_between_bounds_are_the_minimum_there() -> None:

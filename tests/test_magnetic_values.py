@@ -391,3 +391,16 @@ def test_one_note_of_many_records_is_given_once():
     lines = [line for line in hf.quantities(records).lines() if "no closed loop" in line]
     assert len(lines) == 1
     assert lines[0].startswith("note: 20 of 21 records: no closed loop")
+
+
+@pytest.mark.parametrize("decimals", [2, 3, 4])
+def test_errors_are_no_smaller_than_those_of_the_printed_digits(decimals: int) -> None:
+    """A demagnetization curve of a catalogue with a sample where the polarization is zero, of which the noise is that of its digits."""
+    field = -np.concatenate([np.linspace(0, 900, 40), np.linspace(905, 1000, 20)])
+    slope = 1.29 / 25
+    flux = 1.29 * np.tanh((field + 955) / 25) + 4e-4 * np.pi * field
+    record = hf.Record(u=field, y=np.round(flux, decimals), u_unit="kA/m", y_unit="T", u_name="H", y_name="B")
+    coercivity = values_of(record)["HcJ"]
+    assert coercivity.stderr is not None
+    assert coercivity.stderr > 0.9 * 10.0**-decimals / np.sqrt(12) / slope
+    assert abs(coercivity.value - 955) < 3 * coercivity.stderr + 0.01

@@ -538,6 +538,8 @@ def cycler(kind: str, *, charging: bool) -> str:
         "biologic": ("N,time/s,Ns,control/mA,Ewe/V,Q charge/mA.h,Q discharge/mA.h,Energy/W.h", [voltage, up, down, up]),
         "neware": ("Record,Time(s),Step,Current(A),Voltage(V),Capacity(Ah),Energy(Wh),Chg", [voltage, grown, grown * 3.3, 0 * grown]),
         "chinese": ("数据序号,时间(s),工步,电流(A),电压(V),充电容量(Ah),放电容量(Ah),能量(Wh)", [voltage, up, down, up]),
+        "bdf": ("test_index,test_time_second,step_index,current_ampere,voltage_volt,charging_capacity_ah,discharging_capacity_ah,power",
+                [voltage, up, down, up]),
         "signed": ("N,time/s,Ns,control/mA,Ewe/V,(Q-Qo)/mA.h,x,Energy/W.h", [voltage, up - down, 0 * up, up]),
         "maccor": ("Rec#,Test (Sec),Step,Amps,Volts,Amp-hr,Watt-hr,Temp 1", [voltage, grown, grown * 3.3, 0 * grown + 25]),
     }[kind]  # fmt: skip
@@ -550,7 +552,7 @@ def cycler(kind: str, *, charging: bool) -> str:
     return names + "\n" + "".join(rows)
 
 
-@pytest.mark.parametrize("kind", ["arbin", "biologic", "neware", "maccor", "chinese", "signed"])
+@pytest.mark.parametrize("kind", ["arbin", "biologic", "neware", "maccor", "chinese", "signed", "bdf"])
 def test_the_charge_that_passed_drives_the_voltage_of_a_cell(kind: str, tmp_path: Path) -> None:
     files = [
         written(tmp_path, cycler(kind, charging=charging), f"{name}.csv")

@@ -233,6 +233,17 @@ def test_ramps_between_temperatures_are_no_levels() -> None:
     assert np.count_nonzero(labels == "") > 68
 
 
+@pytest.mark.parametrize("noise", [0.003, 0.01, 0.02])
+def test_levels_of_a_load_are_held_through_the_noise_of_its_control(noise: float) -> None:
+    """Noise as a part of the distance from the least load to the largest."""
+    loads = np.repeat([-220.0, -660, -1100], 400)
+    found = held_levels(loads + 880 * noise * RNG.normal(size=loads.size))
+    np.testing.assert_allclose([level for level, _, _ in found], [-1100, -660, -220], atol=10)
+    np.testing.assert_allclose(
+        [(first, stop) for _, first, stop in found], [(800, 1200), (400, 800), (0, 400)], atol=25
+    )
+
+
 def test_held_levels_of_signals() -> None:
     steps = np.repeat([-49.0, -35, -21, -7], 300) + RNG.normal(0, 0.02, 1200)
     found = held_levels(steps)
@@ -307,6 +318,7 @@ def test_the_question_about_columns_without_names_begins_with_the_pair_that_belo
         ("Volts", "Volts", "V^2"),
         ("Amps", "pounds", "lbf A"),
         ("V", "um", "um V"),
+        ("V vs. Ref.", "mA", "mA V"),
         ("Kelvin", "Degrees", "deg K"),
         ("V", "", ""),
         ("kN", "mV/V", "mV/V kN"),  # a calibration: the signal of a bridge is no strain

@@ -248,6 +248,18 @@ def test_lines_of_words_that_differ_in_their_numbers_begin_records(tmp_path: Pat
     np.testing.assert_allclose(data[2].y, 3 * F, rtol=1e-4)
 
 
+def test_steps_of_a_simulation_whose_numbers_have_prefixes_are_records(tmp_path: Path) -> None:
+    """A waveform that a circuit simulator exports for each value of a parameter: its time begins again below a line of words."""
+    u, text = np.sin(np.linspace(0, 4 * np.pi, ROWS)), "time\tV(h)\tV(b)\n"
+    for k, value in enumerate(("400m", "1.2K", "5e-06", "2Meg"), start=1):
+        text += f"Step Information: Ipk={value}  (Step: {k}/4)\n" + table(1e-3 * X, k * u, k * F, mark="\t")
+    data = read_text(tmp_path, text)
+    assert isinstance(data, Dataset)
+    for k, record in enumerate(data, start=1):
+        np.testing.assert_allclose(record.u, k * u, rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(record.y, k * F, rtol=1e-4, atol=1e-5)
+
+
 def test_a_remark_between_rows_begins_no_record(tmp_path: Path) -> None:
     text = "x(mm) F(N)\n" + table(X[:90], F[:90], mark=" ") + "valve 3 opened\n" + table(X[90:], F[90:], mark=" ")
     data = read_text(tmp_path, text)

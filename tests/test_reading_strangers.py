@@ -181,6 +181,42 @@ def test_the_charge_of_a_cell_at_constant_currents(names: str, tmp_path: Path) -
     assert (record.u_unit, record.y_unit) == ("mAh", "V")
 
 
+def test_the_charge_of_a_current_in_a_spelled_unit_is_in_its_symbol(tmp_path: Path) -> None:
+    current = np.where(np.arange(N) % 60 < 30, 0.5, -0.5)
+    voltage = 3.4 + 0.01 * np.cumsum(current) + 0.05 * current
+    record = one(tmp_path, "t (s),U (volts),I (milliampere)\n" + rows(",", 60 * np.arange(N), voltage, current))
+    assert record.u_unit == "mAh"
+    np.testing.assert_allclose(np.diff(record.u), current[1:] / 60, atol=1e-12)
+
+
+@pytest.mark.parametrize("behind", ["", ",,"])
+@pytest.mark.parametrize("quote", ["", '""'])
+def test_rows_that_are_quoted_as_one_cell_each_are_read(quote: str, behind: str, tmp_path: Path) -> None:
+    """A file of a cycler that a spreadsheet took for one column: the lines above the numbers are quoted where they hold a comma."""
+    table = rows(",", T, U, Y).splitlines()
+    names = f"{quote}Time (s){quote},{quote}Voltage (V){quote},{quote}Travel (um){quote}"
+    lines = ["[Summary]", "Bench 3", '"   [Hold, then ramp]"', "[Data]", *(f'"{line}"' for line in [names, *table])]
+    record = one(tmp_path, "\n".join(line + behind for line in lines) + "\n")
+    is_pair(record)
+    assert (record.u_name, record.y_unit) == ("Voltage (V)", "um")
+
+
+@pytest.mark.parametrize("error", ["Deviation %", "Abweichung [%]", "Error (%)"])
+def test_the_deviation_from_the_set_value_is_not_the_output(error: str, tmp_path: Path) -> None:
+    """The protocol of a valve positioner: the signal, the travel and how far that is from the signal."""
+    signal = np.concatenate([np.linspace(4, 20, 33), np.linspace(19.5, 4, 32)])
+    travel = np.round(
+        100 / 16 * (signal - 4 + np.where(np.arange(65) < 33, -0.3, 0.3)) + 0.05 * np.sin(7.0 * np.arange(65)), 2
+    )
+    aim = np.round(100 / 16 * (signal - 4), 2)
+    record = one(
+        tmp_path, f"Step,Signal mA,Travel %,{error}\n" + rows(",", np.arange(65), signal, travel, travel - aim)
+    )
+    np.testing.assert_allclose(record.u, signal)
+    np.testing.assert_allclose(record.y, travel)
+    assert (record.u_unit, record.y_name, record.y_unit) == ("mA", "Travel %", "%")
+
+
 def test_infinities_in_the_log_of_a_cell(tmp_path: Path) -> None:
     charge = np.where(np.arange(N) % 50 < 2, np.inf, 1e-3 * np.arange(N))
     path = written(tmp_path, "Time(s),Voltage(V),Current(A),Capacity(Ah)\n" + rows(",", T, U, Y, charge), "cell.csv")

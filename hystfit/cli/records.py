@@ -60,7 +60,8 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
     from hystfit.data.dataset import Dataset
     from hystfit.reading import datasets
     from hystfit.reading.files.archive import members_of
-    from hystfit.reading.several import combined, files_of
+    from hystfit.reading.read import read
+    from hystfit.reading.several import combined, files_of, pair_of
 
     if not loops:
         raise DataError(
@@ -71,6 +72,8 @@ def load(loops: Sequence[str], reading: Reading) -> Dataset:
     files = [str(file) for loop in loops for file in ([loop] if whole(loop) else files_of(loop))]
     if twice := sorted({file for file in files if files.count(file) > 1}):
         raise DataError(f"{twice[0]!r} is given twice")
+    if all(Path(file).is_file() or pair_of(file) for file in files):
+        return Dataset.of(read(files, **dataclasses.asdict(reading)))
     return Dataset.of(combined([(file, _load_one(file, reading)) for file in files]))
 
 

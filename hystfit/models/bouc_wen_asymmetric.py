@@ -15,6 +15,7 @@ from hystfit.models.bouc_wen import AbstractBoucWen, grid_start
 from hystfit.models.bouc_wen_steps import (
     bound,
     initial_hysteresis,
+    middle_size,
     power_of,
     rate_integral,
     runge_kutta,
@@ -105,7 +106,9 @@ class AsymmetricBoucWen(AbstractBoucWen):
         if self.scheme == "exact":
             return s * runge_kutta(slope, q, x, 8, jnp.maximum(q, highest))
         middle = jnp.minimum(q + 0.5 * x * slope(q), jnp.maximum(q, highest))
-        passed = power(middle) * rate_integral(q, x, m, up, down)  # the power there keeps the second order
+        passed = power(middle_size(middle, m * x)) * rate_integral(
+            q, x, m, up, down
+        )  # the power there keeps the second order
         return s * semi_implicit(q, x, m, passed, highest)
 
     def step_ratio(self, largest: Any) -> Any:

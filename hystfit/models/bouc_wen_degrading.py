@@ -19,6 +19,7 @@ from hystfit.models.bouc_wen_steps import (
     SUBSTEPS,
     any_power,
     check_substeps,
+    middle_size,
     rate_integral,
     semi_implicit,
     substep_advice,
@@ -113,7 +114,7 @@ class BoucWenBaberNoori(AbstractHysteresis):
         middle = jnp.minimum(w + 0.5 * x * rise, jnp.maximum(w, self._largest(nu)))
         gain, nu = self._slope(middle, jnp.maximum(energy + 0.5 * x * w, 0.0))
         rates = nu * gain, nu * gain * (2.0 * self.beta - 1.0)
-        passed = any_power(jnp.abs(middle), self.n - 1.0) * rate_integral(w, x, gain, *rates)
+        passed = any_power(middle_size(middle, gain * x), self.n - 1.0) * rate_integral(w, x, gain, *rates)
         moved = semi_implicit(w, x, gain, passed, self._largest(nu))
         return moved, jnp.maximum(energy + 0.5 * x * (w + moved), 0.0)
 

@@ -67,6 +67,14 @@ def rise_below_zero(q: Array, x: Array, m: Array) -> Array:
     return jnp.minimum(jnp.maximum(-q, 0.0), m * x)
 
 
+def middle_size(middle: Array, rise: Array) -> Array:
+    """|q| in the middle of a step, of which a power is taken: at least its mean over a step through zero, where q rises by `rise`.
+
+    A power below zero is infinite at q = 0, and fits ended where the middle of a step was within 1e-9 of it.
+    """
+    return jnp.maximum(jnp.abs(middle), 0.25 * rise)
+
+
 def over(value: Array, m: Array) -> Array:
     """value / m, or 0 where m vanishes, with finite derivatives."""
     return jnp.where(m > 0, value / jnp.where(m > 0, m, 1.0), 0.0)

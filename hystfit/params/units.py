@@ -180,6 +180,7 @@ _MARKS = str.maketrans("\u00b5\u03bc\u00b7\u22c5\u00b2\u00b3\u00b9\u207b", "uu**
     ord("\u03b5"): "strain",
 }
 _LONGEST = 100  # characters of a unit
+_REFERENCE = re.compile(r"\s+vs\b.*")  # of a voltage, against which it is measured: V vs. Ag/AgCl
 _HIGHEST = 12  # power of a symbol in any unit, beyond which a text is none
 # Two units joined by a hyphen, as in kN-m and ft-lb; a digit after it is a power.
 _HYPHEN = re.compile(r"(?<=[A-Za-z])-(?=[A-Za-z])")
@@ -190,7 +191,7 @@ def _plain(text: str) -> str:
     """A unit in ASCII where it can be: "um" for "µm", and "A*m2" for "Am²"."""
     if len(text) > _LONGEST:
         return text
-    plain = re.sub(r"\s+vs\b.*", "", text.strip().rstrip("."))  # of a voltage against a reference
+    plain = _REFERENCE.sub("", text.strip().rstrip("."))
     plain = re.sub(r"(?<=A)m(?=\^?2)", "*m", plain.translate(ONE_CHARACTER).translate(_MARKS))
     plain = re.sub(r"[ _(]+STP\b\)?", "", plain)  # of gas at standard temperature and pressure
     plain = re.sub(r"\b[dD]eg[ _.]*([CF])\b", r"deg\1", plain)
@@ -312,6 +313,7 @@ def loop_energy(one: str, other: str) -> tuple[str, float]:
 
     Empty where one column has no unit: that of the other alone is not the unit of the area.
     """
+    one, other = (_REFERENCE.sub("", unit) for unit in (one, other))
     first, second = parse_unit(one), parse_unit(other)
     alike = symbol_of(one) == symbol_of(other) and one.isalpha()
     plain = "" if not (one and other) else f"{symbol_of(one)}^2" if alike else f"{symbol_of(other)} {symbol_of(one)}"

@@ -19,6 +19,10 @@ CLEAR = 5.0
 # reach 2e-5, second points 0.13, and those of simulated curves stay above 0.4.
 SIGNIFICANCE = 1e-3
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
+_DIGITS, _WHOLE = (
+    9,
+    1e-6,
+)  # of a printed number, and how far the arithmetic takes its multiples from whole numbers, at most
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
 # Times the largest step within so many samples, that an outlier stands out.
 _FAR, _STEPS = 4.0, 6
@@ -75,6 +79,16 @@ def rounding_rms(values: np.ndarray) -> float:
     if noise is None or is_bound or step >= SAME_LEVEL * np.ptp(values[np.isfinite(values)]):
         return 0.0
     return error if _ROUNDING[0] * error <= noise <= _ROUNDING[1] * error else 0.0
+
+
+def printed_step(values: np.ndarray) -> float:
+    """The power of ten of which all values are multiples, as of text with few decimals [unit of the values]; 0 of computed values."""
+    finite = _finite(values)
+    size = float(np.abs(finite).max(initial=0.0))
+    first = math.ceil(math.log10(size)) if size > 0 else 0
+    steps = (10.0**power for power in range(first, first - _DIGITS, -1))
+    whole = lambda step: bool(np.all(np.abs(finite / step - np.round(finite / step)) < _WHOLE))
+    return next((step for step in steps if size > 0 and whole(step)), 0.0)
 
 
 def resolution(values: np.ndarray) -> float | None:

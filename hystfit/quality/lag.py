@@ -182,7 +182,10 @@ def estimate_lag(
 
 
 def _rests(turns: list[_Turn], y: np.ndarray, lag: float) -> bool:
-    """Whether the output rests at the turns of the input, where it would go on behind a lag of this many samples, or turn before."""
+    """Whether the output rests at the turns of the input, where it would go on behind a lag of this many samples, or turn before.
+
+    A saturated output rests throughout.
+    """
     if abs(lag) < 1:
         return False
     way = np.array([1.0 if turn.upper else -1.0 for turn in turns])
@@ -190,7 +193,7 @@ def _rests(turns: list[_Turn], y: np.ndarray, lag: float) -> bool:
         np.interp([turn.at + shift for turn in turns], np.arange(y.size), y) for shift in (-lag, 0.0, lag)
     )
     short = way * ((after - at) - _GOES_ON * (at - before))
-    return bool(short.mean() + 2 * short.std(ddof=1) / np.sqrt(short.size) < 0)
+    return bool(short.mean() + 2 * short.std(ddof=1) / np.sqrt(short.size) <= 0)
 
 
 def _over_turns(

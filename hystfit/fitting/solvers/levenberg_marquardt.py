@@ -186,7 +186,8 @@ def to_bounds(z: Array, kinds: Any, xp: ModuleType) -> tuple[Array, Array]:
     """Distances to both bounds along the tangents of the maps at z, infinite without a bound; the lower one is negative."""
     kind, grown = np.array(kinds), xp.exp(-xp.abs(z))
     nearer = -(1.0 + grown)  # to the bound on whose side z is, and to the other
-    farther = (1.0 + grown) / grown
+    with np.errstate(over="ignore", divide="ignore"):  # infinite where z is far outside
+        farther = (1.0 + grown) / grown
     low = xp.where(z < 0, nearer, -farther)
     high = xp.where(z < 0, farther, -nearer)
     one = xp.where((kind == LOWER) | (kind == UPPER), -1.0, -xp.inf)

@@ -47,7 +47,7 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
     {
         const double middle = fmin(q + 0.5 * x * @f@_slope(q, sign), fmax(q, highest));
         const double up = @f@_kappa(1, sign), down = @f@_kappa(-1, sign), below = q >= 0 ? 0.0 : m > 0 ? fmin(-q / m, x) : x;
-        const double half = 0.5 * @f@_power(middle) * (up * x + (down - up) * below);
+        const double half = 0.5 * @f@_power(fmax(fabs(middle), 0.25 * m * x)) * (up * x + (down - up) * below);
         const double moved = ((1 - half) * q + m * x) / (1 + half);
         q = fmin(fmax(moved, fmin(q, highest)), fmax(q, highest));
     }

@@ -29,7 +29,8 @@ static double @f@_step(const double *s, double u0, double u1, double dt, double 
         middle = fmin(w + 0.5 * x * gain * (1 - loss), fmax(w, largest));
         gain = @f@_slope(middle, fmax(e + 0.5 * x * w, 0.0), &nu, &largest);
         below = fmin(fmax(-w, 0.0), gain * x);
-        half = middle == 0 ? (@M@_N > 1 ? 0.0 : 1.0) : pow(fabs(middle), @M@_N - 1);
+        middle = fmax(fabs(middle), 0.25 * gain * x);
+        half = middle == 0 ? (@M@_N > 1 ? 0.0 : 1.0) : pow(middle, @M@_N - 1);
         half *= 0.5 * nu * (gain * x + 2 * (@M@_BETA - 1) * below);
         moved = ((1 - half) * w + gain * x) / (1 + half);
         moved = fmin(fmax(moved, fmin(w, largest)), fmax(w, largest));

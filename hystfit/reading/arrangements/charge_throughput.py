@@ -15,7 +15,7 @@ import numpy as np
 
 from hystfit.data.record import Record
 from hystfit.outcome import Code, Note, Severity
-from hystfit.params.units import conversion, quantity
+from hystfit.params.units import conversion, quantity, symbol_of
 from hystfit.reading.arrangements.branch_files import joined
 from hystfit.reading.limits import MAJORITY, MOST, RARE
 from hystfit.reading.names.names_with_units import split_unit
@@ -23,9 +23,9 @@ from hystfit.reading.table.raw_table import Table
 
 NAME = "Charge throughput"
 _CAPACITY = r"(?:cap(?:acity)?|q|ah|amp hr)"
-_OF_CHARGE = re.compile(rf"(?:ch(?:ar)?ge?|chg|cha)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:charge|chg|cha)|充电容量")
+_OF_CHARGE = re.compile(rf"(?:ch(?:ar)?g(?:e|ing)?|cha)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:charge|chg|cha)|充电容量")
 _OF_DISCHARGE = re.compile(
-    rf"(?:dis ?ch(?:ar)?ge?|d ?chg|dis)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:discharge|dis ?chg|dchg|dis)|放电容量"
+    rf"(?:dis ?ch(?:ar)?g(?:e|ing)?|d ?chg|dis)\.? ?{_CAPACITY}|{_CAPACITY} ?(?:discharge|dis ?chg|dchg|dis)|放电容量"
 )
 _OF_STEP = re.compile(rf"{_CAPACITY}|容量")
 _SIGNED = re.compile(r"\(?q ?q[o0]\)?|net capacity")  # a charge that goes back and forth as it is
@@ -113,7 +113,7 @@ def _integral(table: Table, voltage: np.ndarray) -> tuple[np.ndarray, str, str] 
     if not kept or not changes or swept:
         return None
     passed = np.append(0.0, np.cumsum(current[1:] * intervals)) * (conversion(table.units[time] or "s", "h") or 1.0)
-    return passed, f"{table.units[source] or 'A'}h", f"{table.names[source]!r} over {table.names[time]!r}"
+    return passed, f"{symbol_of(table.units[source]) or 'A'}h", f"{table.names[source]!r} over {table.names[time]!r}"
 
 
 def _clock_and_current(table: Table) -> tuple[int | None, int | None]:

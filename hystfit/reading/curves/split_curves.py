@@ -136,7 +136,8 @@ def _by_column(table: Table, divider: int, notes: list[Note]) -> list[tuple[str,
     """Label and rows of each value of a column."""
     labels = levels_of(table, divider)
     if blank := int((labels == "").sum()):
-        notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows without a value of {table.names[divider]!r}"))
+        where = "without a value" if np.isnan(table.columns[divider]).any() else "between the levels"
+        notes.append(Note(Code.LEFT_OUT, f"left out: {blank} rows {where} of {table.names[divider]!r}"))
     first, number = np.unique(labels, return_index=True, return_inverse=True)[1:]
     order = [value for value in labels[np.sort(first)].tolist() if value]
     if len(order) > 1000 and len(order) > table.rows / 2:

@@ -10,6 +10,7 @@ from hystfit.outcome import Note
 from hystfit.reading.files.encodings import decode
 from hystfit.reading.files.file_bytes import FileBytes
 from hystfit.reading.files.lines import lines_of
+from hystfit.reading.files.quoted_lines import without_quotes
 from hystfit.reading.files.typed_numbers import without_types
 
 HEAD = 200  # lines by which layouts are recognized
@@ -82,4 +83,5 @@ def text_of(file: FileBytes, opening: Opening) -> TextFile:
     """
     content, notes = decode(file.raw, file.source, opening.encoding)
     content, typed = without_types(content)
-    return TextFile(content, file.source, file.sha256, (*file.notes, *notes, *typed), opening)
+    content, quoted = without_quotes(content)
+    return TextFile(content, file.source, file.sha256, (*file.notes, *notes, *typed, *quoted), opening)

@@ -188,7 +188,7 @@ def _behind_blank(name: str, siblings: Sequence[str]) -> tuple[str, str] | None:
     known = match is not None and (is_unit(match[2]) or (len(match[2]) > 1 and bool(in_case(match[1], match[2]))))
     if not match or not known or match[2] in _NOT_SUFFIX or _is_role(match[1], match[2], siblings):
         return None
-    spelled = len(match[2]) > 1 and re.search(r"[^\W\d_]{2}\.?$", match[1])
+    spelled = not (len(match[2]) == 1 and match[2].isalpha()) and re.search(r"[^\W\d_]{2}\.?$", match[1])
     last = WORDS.get(match[1].lower().split()[-1], "")  # Force N, Current A, and not phase A beside phase B
     spelled = spelled or (last == quantity(match[2]) != "" and len(_indices(match[1], siblings, " ")) < 2)
     return (match[1], match[2]) if spelled or _all_have_units(siblings) else None

@@ -51,13 +51,22 @@ def _levels_and_rows(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Levels over a decade, as temperatures of 2, 5, 20 and 300 K are, lie apart by their ratios.
     """
-    nothing = np.empty(0), np.full(values.size, -1)
     if values.size < 2 * _ROWS_OF_LEVEL or not np.isfinite(values).all():
-        return nothing
+        return np.empty(0), np.full(values.size, -1)
     over_decades = values.min() > 0 and values.max() > _DECADE * values.min()
-    found = [*([_rows_by_ratio(values)] if over_decades else []), _rows_of_levels(values)]
-    levels, at = max(((_medians(values, at), at) for at in found), key=lambda way: way[0].size)
-    return nothing if not levels.size or np.ptp(levels) <= _APART * np.abs(levels).max() else (levels, at)
+    for one in (values, _averaged(values)):  # also through noise, as of a load that is controlled
+        found = [*([_rows_by_ratio(one)] if over_decades else []), _rows_of_levels(one)]
+        levels, at = max(((_medians(values, at), at) for at in found), key=lambda way: way[0].size)
+        if levels.size and np.ptp(levels) > _APART * np.abs(levels).max():
+            return levels, at
+    return np.empty(0), np.full(values.size, -1)
+
+
+def _averaged(values: np.ndarray) -> np.ndarray:
+    """Averages over half as many rows around each as a level lasts at least."""
+    half = _ROWS_OF_LEVEL // 4
+    sums = np.cumsum(np.pad(values - values[0], (half + 1, half), mode="edge"))
+    return values[0] + (sums[2 * half + 1 :] - sums[: -2 * half - 1]) / (2 * half + 1)
 
 
 def _rows_by_ratio(values: np.ndarray) -> np.ndarray:

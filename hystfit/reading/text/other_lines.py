@@ -24,7 +24,7 @@ from hystfit.reading.text.stated_units import stated_units
 
 _TOUCHING = re.compile(r"(?=.*\.\d+\.\d)[\s\d.eE+-]+")  # numbers of which two touch each other
 _WORDED = re.compile(r"\W*[^\W\d_]{2,}")
-_NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?")
+_NUMBERS = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:e[+-]?\d+)?(?:(?:meg|[a-zµ])\b)?", re.IGNORECASE)  # 0.4, 400m, 1e-3
 _SETTINGS = {"source": (0, 1), "horizontal units": (1, 0), "vertical units": (1, 1)}  # name or unit of which column
 _WORDS = {
     "header": "repeated header",

@@ -18,7 +18,7 @@ from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import loop_energy, quantity
 from hystfit.quality.coverage import is_switched
-from hystfit.quality.faults import noise_rms, saturated_samples
+from hystfit.quality.faults import noise_rms, printed_step, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import without_outliers
@@ -181,7 +181,7 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
         return (), (), ()
     kind, (noise, is_bound), of_zero = LoopKind.of(Dataset((record,))), noise_rms(y), tuple[Note, ...]()
     # Of sparse samples the most that it can be: errors without it would be those of the straight lines alone.
-    sigma = np.nan if noise is None else noise
+    sigma = np.nan if noise is None else max(noise, printed_step(y) / np.sqrt(12))
     if kind in REMANENT:
         record, of_zero = centered(record, kind)
         y = record.y[kept]
