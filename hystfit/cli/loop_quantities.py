@@ -71,7 +71,6 @@ class SampleOptions:
 
     @property
     def corrections(self) -> tuple[str, ...]:
-        """Names of the corrections to apply."""
         return tuple(part.strip() for part in (self.correct or "").split(",") if part.strip())
 
 

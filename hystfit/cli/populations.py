@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hystfit.cli.batches import FEW
+from hystfit.cli.batches import processes_for
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, FITTING, STDOUT, Fitting, Output, Reading
 from hystfit.cli.write import finish, progress, write_input
@@ -49,12 +48,9 @@ def population(
         workers: processes (default: one for each core where there are many loops).
     """
     output.check("hystfit.population")
-    if not loops:
-        raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
-    from hystfit.batch.sources import sources_of
+    processes = processes_for(loops, workers)
     from hystfit.population.fit_population import fit_population
 
-    few = len(sources_of(list(loops))) < FEW
     with progress(f"fitting {model}") as update, resumable(output.run):
         result = fit_population(
             model,
@@ -64,7 +60,7 @@ def population(
             draws=draws,
             chains=chains,
             folder=output.run,
-            workers=workers or (1 if few else os.cpu_count() or 1),
+            workers=processes,
             reading=dataclasses.asdict(reading),
             progress=update,
             **fitting.keywords(),

@@ -136,7 +136,6 @@ class WrappedHelp(DefaultFormatter):
     """Panels whose descriptions have no line breaks but those of the terminal: those of the source come at any column."""
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-        """Print a panel."""
         for entry in panel.entries:
             _join_lines(entry)
         super().__call__(console, options, panel)

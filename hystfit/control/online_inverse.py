@@ -138,11 +138,6 @@ class InverseStep(AbstractRunningInverse):
         """The input for the next sample of the reference, `dt` after the last.
 
         A target that is not finite holds the input and is out of range.
-
-        Args:
-            memory: state and last input.
-            target: desired output.
-            dt: time since the last sample [s].
         """
         state, u0 = memory
         target, dt = (jnp.asarray(value, dtype=u0.dtype) for value in (target, dt))

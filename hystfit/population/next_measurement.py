@@ -74,11 +74,8 @@ class Beliefs:
     def expected_fall(
         self, before: tuple[np.ndarray, np.ndarray], precision: Float[np.ndarray, "p p"]
     ) -> Float[np.ndarray, " m"]:
-        """Expected fall of the posterior variances of the quantities by an estimate, as fractions; NaN where the draws are too few.
-
-        Args:
-            before: mean and covariance of the device, of `of_new` or `of_device`.
-            precision: of the estimate; 0 in directions that it leaves open.
+        """Expected fall of the posterior variances of the quantities, as fractions, by an estimate of this precision (0 where it leaves a
+        direction open) of a device with mean and covariance `before`; NaN where the draws are too few.
         """
         weights = self._weights(before, precision)
         effective = 1.0 / np.sum(weights**2, axis=1)
@@ -167,11 +164,7 @@ class PopulationDesign(WithStatus):
         return self.candidates[0]
 
     def table(self, most: int | None = None) -> Table:
-        """Errors now, and expected with each candidate: medians over the parameters of the aim.
-
-        Args:
-            most: candidates at most.
-        """
+        """Errors now, and expected with each of at most so many candidates: medians over the parameters of the aim."""
         columns = [Column(""), Column("variance [%]", form=".1f"), Column("sd [%]", form=".3g")]
         columns += [Column("correlation", form=".3g"), Column("mean [sd]", form=".3g")]
         rows: list[list[Any]] = [["present", None, *self._medians(self.present)]]

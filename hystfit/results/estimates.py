@@ -18,11 +18,7 @@ T = TypeVar("T")
 
 
 def edges_of(level: float) -> list[float]:
-    """Lower edge, median and upper edge of an interval with this probability, as quantiles.
-
-    Raises:
-        ParameterError: the level is not between 0 and 1.
-    """
+    """Lower edge, median and upper edge of an interval with this probability between 0 and 1, as quantiles."""
     if not 0 < level < 1:
         raise ParameterError(f"level must be between 0 and 1, such as 0.9; got {level}")
     return [0.5 - level / 2, 0.5, 0.5 + level / 2]
@@ -56,7 +52,6 @@ class ParameterEstimate:
     tie: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """For `result.json`."""
         return {k: v for k, v in dataclasses.asdict(self).items() if k not in ("name", "doc")}
 
 

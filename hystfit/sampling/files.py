@@ -44,7 +44,6 @@ class Variable:
 
     @property
     def at(self) -> int | list[int]:
-        """The index of the columns."""
         return self.columns if self.entries else self.columns[0]
 
 
@@ -249,7 +248,6 @@ def _draws(values: dict[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
 
 
 def _pairs(stored: Stored) -> dict[str, list[float]]:
-    """Two numbers for each name."""
     pairs = {name: stored.listed(name) for name in stored.content}
     if any(len(pair) != 2 for pair in pairs.values()):
         raise ValueError("quartiles are two numbers")

@@ -51,12 +51,10 @@ class Prepared:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all parameters."""
         return self.problem.names
 
     @property
     def priors(self) -> dict[str, AbstractPrior]:
-        """Priors by name."""
         return dict(zip(self.names, self.problem.priors, strict=True))
 
     @property

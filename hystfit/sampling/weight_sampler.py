@@ -252,7 +252,6 @@ class WeightSetup(Prepared):
     def of(
         cls, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
     ) -> WeightSetup:
-        """Prepare the weights of a fit."""
         if not result.problem.space.weights.any():
             raise ParameterError("sampler='weights' needs weights in which the output is linear: use sampler='nuts'")
         if isinstance(priors, CorrelatedPriors):

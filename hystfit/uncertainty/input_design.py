@@ -128,7 +128,6 @@ class Design(WithStatus):
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`."""
         rows = [{"name": c.name, "score": c.score, "stderr": c.stderr} for c in self.candidates]
         return {
             "schema": "hystfit.design/1",

@@ -48,7 +48,6 @@ class Samples:
 
     @classmethod
     def of(cls, setting: Setting) -> Samples:
-        """The samples of a batch that count."""
         weight, place, rising = (np.asarray(v) for v in (setting.weight, setting.place, setting.rising))
         on = weight > 0
         time = np.cumsum(np.broadcast_to(np.asarray(setting.gap), weight.shape), axis=1)
@@ -330,9 +329,8 @@ def least_squares_root(
 ) -> Float[np.ndarray, "k p"]:
     """R with (R'R)^-1 the covariance of a least-squares estimate under this noise, J^+ Sigma J^+'; k is the smaller of n and p.
 
-    From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R.
-
-    With `overwrite`, J may be destroyed to save its size in memory.
+    From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R. With `overwrite`,
+    J may be destroyed to save its size in memory.
     """
     Q, T = qr(jacobian, overwrite=overwrite)
     size = np.linalg.norm(T, axis=0)

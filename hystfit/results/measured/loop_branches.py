@@ -232,12 +232,9 @@ def crosses(pairs: Sequence[Pair], sigma: float) -> bool:
 
 
 def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_values: float = np.nan) -> Found:
-    """Value where a level passes zero, and its standard error; without where it ends on the side where it began, as an even output does.
+    """Value where a level passes zero along a branch, and its standard error; without where it ends on the side where it began.
 
-    Args:
-        level: along a branch, shape (n,).
-        values: at the same samples, shape (n,).
-        sigma: noise of the level; of_values: noise of the values. Where neither is known, the error is that between the samples.
+    `sigma` is the noise of the level, `of_values` that of the values; where neither is known, the error is that between the samples.
     """
     passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
     if passed.size % 2 == 0:
