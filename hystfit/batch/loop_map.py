@@ -71,7 +71,16 @@ class LoopMap(ManyFits):
         frame: Record,
         work: Work,
     ) -> LoopMap:
-        """From the columns of its parts, numbers and text, part after part."""
+        """From the columns of its parts.
+
+        Args:
+            parts: columns of numbers and text, part after part.
+            shape: of the array.
+            names: of the free parameters.
+            model: its name.
+            frame: input, time and units of all loops.
+            work: what was done with every loop.
+        """
         known = dict.fromkeys(name for part in parts for name in part if name.startswith("quantity "))
         empty = lambda part: np.full(len(part["status"]), np.nan)
         joined = lambda name: np.concatenate([part.get(name, empty(part)) for part in parts]).reshape(shape)

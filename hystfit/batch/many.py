@@ -140,6 +140,7 @@ class Journal:
         return True
 
     def add(self, finished: Sequence[Finished]) -> None:
+        """Append the rows of several loops."""
         lines = [json.dumps({"key": key, "rows": [row.to_dict() for row in rows]}) + "\n" for key, rows in finished]
         try:
             with self.file.open("a", encoding="utf-8") as handle:

@@ -80,6 +80,7 @@ class Work:
 
     @property
     def name(self) -> str:
+        """Name of the model."""
         return str(self.model) if isinstance(self.model, str) else model_name(self.model)
 
     @property

@@ -71,6 +71,7 @@ class SampleOptions:
 
     @property
     def corrections(self) -> tuple[str, ...]:
+        """Names of the corrections to apply."""
         return tuple(part.strip() for part in (self.correct or "").split(",") if part.strip())
 
 

@@ -71,6 +71,7 @@ class Study:
         return cls(file, Path(out), pins, _in_order(where, read))
 
     def check_pins(self) -> None:
+        """Compare the pinned files with their SHA-256."""
         for name, pinned in self.sha256.items():
             actual = file_digest(Path(name))
             if actual is None:

@@ -52,6 +52,7 @@ class Server(ThreadingHTTPServer):
         }
 
     def open(self) -> None:
+        """Answer requests in the background."""
         threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True).start()
 
     def handle_error(self, request: Any, client_address: Any) -> None:

@@ -103,6 +103,7 @@ class View:
         return {name: float(value) for name, value in values.items()}
 
     def to_dict(self) -> dict[str, Any]:
+        """For the page."""
         sliders = [dataclasses.asdict(slider) for slider in self.sliders]
         return {"model": self.choice, "sliders": sliders, "hidden": self.hidden}
 

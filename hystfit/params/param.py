@@ -147,6 +147,7 @@ class Leaf:
 
     @property
     def size(self) -> int:
+        """Number of elements."""
         return math.prod(self.shape)
 
     def effects(self) -> np.ndarray:

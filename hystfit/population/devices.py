@@ -97,6 +97,7 @@ class Device:
 
     @classmethod
     def of(cls, name: str, result: FitResult, common: Common) -> Device:
+        """From the fit of a device."""
         noise = result.noise.name if result.noise.refines else "ou" if result.noise.parameters else "iid"
         refined = refine(result.problem.with_loss("linear"), result.x, noise)
         mean = common.z_of(refined.x[common.at])

@@ -46,6 +46,7 @@ class Metrics:
         return cls(rmse, percent(rmse), largest, percent(largest), r2, y.size)
 
     def to_dict(self) -> dict[str, float | int | None]:
+        """For `result.json`."""
         return {k: (v if v is None or np.isfinite(v) else None) for k, v in dataclasses.asdict(self).items()}
 
 

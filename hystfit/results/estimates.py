@@ -52,6 +52,7 @@ class ParameterEstimate:
     tie: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
+        """For `result.json`."""
         return {k: v for k, v in dataclasses.asdict(self).items() if k not in ("name", "doc")}
 
 

@@ -77,6 +77,7 @@ class ForceLoops:
     failure: dict[bool, float | None]
 
     def table(self) -> Table:
+        """One row for each cycle."""
         u, f = self.units
         heads = ("cycle", f"from [{u}]", f"to [{u}]", f"energy [{f} {u}]", "+-", f"stiffness [{f}/{u}]", "+-")
         heads = (*heads, "damping [%]", "stiffness lost [%]")
@@ -117,6 +118,7 @@ class ForceLoops:
         return fragment(f"Force loops of {self.name}", (self.table(), self.backbone_table()))
 
     def to_dict(self) -> dict[str, Any]:
+        """For `result.json`."""
         sides = {True: "positive", False: "negative"}
         return {
             "units": {"displacement": self.units[0], "force": self.units[1]},

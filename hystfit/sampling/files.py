@@ -44,6 +44,7 @@ class Variable:
 
     @property
     def at(self) -> int | list[int]:
+        """The index of the columns."""
         return self.columns if self.entries else self.columns[0]
 
 

@@ -109,6 +109,7 @@ class Sensitivity:
         return [_label(self.names[k]), *map(or_none, numbers), *influence]
 
     def checks_table(self) -> Table:
+        """The checks as readable text."""
         heads = [Column("quantity"), *(Column(head) for head in ("measured", "2.5 %", "median", "97.5 %"))]
         heads += [Column("share above", key="above", form=".2f")]
         cells = lambda check: [check.measured, check.lower, check.median, check.upper, check.above]
@@ -123,6 +124,7 @@ class Sensitivity:
     __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
+        """For `result.json`; unknown is null."""
         rows = {}
         for k, name in enumerate(self.names):
             without = {record: or_none(row[k]) for record, row in zip(self.records, self.influence, strict=False)}

@@ -51,10 +51,12 @@ class Prepared:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
         return self.problem.names
 
     @property
     def priors(self) -> dict[str, AbstractPrior]:
+        """Priors by name."""
         return dict(zip(self.names, self.problem.priors, strict=True))
 
     @property

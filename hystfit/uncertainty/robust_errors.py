@@ -98,6 +98,7 @@ class StandardErrors:
     __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
+        """The contents of `result.json`; unknown is null."""
         by_rule = lambda table, k: {rule: or_none(values[k]) for rule, values in table.items()}
         rows = {}
         for k, name in enumerate(self.result.free_names):

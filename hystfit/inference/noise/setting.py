@@ -62,6 +62,7 @@ class Setting(eqx.Module):
         )
 
     def on_device(self) -> Setting:
+        """The same with arrays of JAX."""
         return jax.tree_util.tree_map(to_device, self)
 
 

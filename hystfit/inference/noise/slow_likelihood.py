@@ -48,6 +48,7 @@ class Samples:
 
     @classmethod
     def of(cls, setting: Setting) -> Samples:
+        """The samples of a batch that count."""
         weight, place, rising = (np.asarray(v) for v in (setting.weight, setting.place, setting.rising))
         on = weight > 0
         time = np.cumsum(np.broadcast_to(np.asarray(setting.gap), weight.shape), axis=1)

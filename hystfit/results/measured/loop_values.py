@@ -106,6 +106,7 @@ class LoopValues:
         return fragment("Quantities of the measured loops", (self.table(),))
 
     def to_dict(self) -> dict[str, Any]:
+        """For `result.json`: by record and name."""
         plain = lambda one: {k: v for k, v in dataclasses.asdict(one).items() if k != "name"}
         return {record: {one.name: plain(one) for one in values} for record, values in self.rows.items()}
 

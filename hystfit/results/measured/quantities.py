@@ -180,4 +180,5 @@ class QuantityEstimate:
         return dataclasses.replace(self, measured=value, measured_stderr=stderr)
 
     def to_dict(self) -> dict[str, Any]:
+        """For `result.json`."""
         return {k: v for k, v in dataclasses.asdict(self).items() if k != "name"} | {"differs": self.differs}

@@ -65,6 +65,7 @@ class Stored:
         return value
 
     def part(self, key: str) -> Stored:
+        """An object."""
         return Stored(self._value(key), f"{self.place}: {key}")
 
     def optional_part(self, key: str) -> Stored | None:
@@ -76,12 +77,14 @@ class Stored:
         return ((key, self.part(key)) for key in self.content)
 
     def listed(self, key: str) -> list[Any]:
+        """A list."""
         value = self._value(key)
         if not isinstance(value, list):
             raise self._type_error(key, "a list", value)
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts."""
         values = self.listed(key)
         if not all(isinstance(one, str) for one in values):
             raise self._type_error(key, "a list of texts", values)
@@ -99,12 +102,14 @@ class Stored:
         return kind(**{name: self.get(name, hints[name]) for name in names}, **given)
 
     def member(self, key: str, kind: type[E]) -> E:
+        """A member of an enumeration."""
         value = self.get(key, str)
         if value not in list(kind):
             raise self._type_error(key, f"one of {', '.join(kind)}", value)
         return kind(value)
 
     def notes(self, key: str) -> tuple[Note, ...]:
+        """Notes."""
         try:
             return tuple(Note.of(note) for note in self.listed(key))
         except (KeyError, ValueError, TypeError) as error:
