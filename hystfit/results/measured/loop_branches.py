@@ -298,6 +298,13 @@ def combined(found: list[Found]) -> tuple[float, float, int]:
     return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
 
 
+def center_at(level: float, branches: Sequence[Branch], sigma: float) -> Found:
+    """Half sum of the inputs at which the rising and the falling branches pass a level, and its error."""
+    sides = ([crossing(b.y - level, b.u, sigma) for b in branches if b.rises == rises] for rises in (True, False))
+    (one, of_one, _), (other, of_other, _) = map(combined, sides)
+    return 0.5 * (one + other), 0.5 * float(np.hypot(of_one, of_other))
+
+
 def range_error(y: np.ndarray, sigma: float) -> float:
     """Error of the range of an output with white noise: that of two samples, and by how much the largest of many exceeds their mean."""
     many = np.array([np.count_nonzero(~(side < side.max() - _NEAR * sigma)) for side in (y, -y)])
