@@ -49,8 +49,7 @@ Limits = Annotated[
 ]
 
 Covariates = Annotated[
-    list[str] | None,
-    Parameter(name="--covariate", help="value of a covariate of the fit, as T_degC=30; repeatable"),
+    list[str] | None, Parameter(name="--covariate", help="value of a covariate of the fit, as T_degC=30; repeatable")
 ]
 
 Purpose = Annotated[

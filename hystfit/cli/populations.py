@@ -120,29 +120,20 @@ def _page(result: PopulationFit, folder: Path, proposal: PopulationDesign | None
         "correlation": "Correlations between parameters: medians below, intervals of 90 % above the diagonal",
         "shrinkage": "Fitted values against those given all devices: a device with a poor record moves toward the mean",
     }
-    rows = result.device_rows()
-    columns = [
-        Column("device"),
-        *(Column(name) for name in result.names),
-        Column("effective", form=".2f"),
-        Column("unusual", form=".3f"),
-    ]
-    devices = Table(
-        columns, [[row["device"], *(row[n] for n in result.names), row["effective"], row["unusual"]] for row in rows]
-    )
+    columns = [Column("device"), *map(Column, result.names)]
+    columns += [Column("effective", form=".2f"), Column("unusual", form=".3f")]
+    shown = ("device", *result.names, "effective", "unusual")
+    devices = Table(columns, [[row[key] for key in shown] for row in result.device_rows()])
     answer = [
         ("Devices", str(len(result.devices))),
         ("Outlying", ", ".join(result.outlying) or "none"),
         ("Next", f"hystfit sample FIT --prior-from {folder}"),
     ]
-    shown = [Picture(result.plot(kind), caption, name=kind) for kind, caption in captions.items()]
+    pictures = [Picture(result.plot(kind), caption, name=kind) for kind, caption in captions.items()]
     sections = [
-        (
-            "Mean and scatter",
-            [result.summary(), MEANING],
-        ),
+        ("Mean and scatter", [result.summary(), MEANING]),
         *([("Change of the mean device with covariates", [result.effects_table()])] if result.covariates else []),
-        ("Pictures", [shown]),
+        ("Pictures", [pictures]),
         ("Correlations whose interval excludes zero", [result.correlation_table()]),
         ("Devices", [devices]),
     ]

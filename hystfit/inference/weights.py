@@ -34,12 +34,7 @@ class Split:
 
     @classmethod
     def of(
-        cls,
-        space: ParameterSpace,
-        records: Sequence[Record],
-        x: np.ndarray,
-        *,
-        held: HeldOut | None = None,
+        cls, space: ParameterSpace, records: Sequence[Record], x: np.ndarray, *, held: HeldOut | None = None
     ) -> Split:
         """Split at values x of the other parameters (those of weights do not matter); `held` is that of `SmoothSystem.of`."""
         if space.ties:

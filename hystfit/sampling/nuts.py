@@ -71,14 +71,7 @@ def advance_chunk(
 
 
 def advance(
-    target: Target,
-    q: Array,
-    tuning: Tuning,
-    key: Array,
-    adapting: Array,
-    goal: Array,
-    depth: int,
-    steps: int,
+    target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int, steps: int
 ) -> tuple[tuple[Array, ...], Tuning]:
     """`steps` transitions, for use inside traced code: positions, and whether they diverged, acceptances and gradients of each.
 

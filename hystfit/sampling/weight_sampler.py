@@ -39,13 +39,7 @@ from hystfit.sampling.base import AbstractChains, Progress, Raw
 from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.setup import Prepared
 from hystfit.sampling.truncated_normal import draw_opposite, opposite
-from hystfit.sampling.weight_equations import (
-    Exact,
-    WeightEquations,
-    parameters_of,
-    weight_equations,
-    weight_priors,
-)
+from hystfit.sampling.weight_equations import Exact, WeightEquations, parameters_of, weight_equations, weight_priors
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
 _POINTS = 12  # among which the weights move: 1200 sweeps of 464 weights give 400 effective draws of the strength, 200 with one point
