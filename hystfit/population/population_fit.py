@@ -19,12 +19,11 @@ from hystfit.population.devices import Common, Device
 from hystfit.population.hierarchy import Hierarchy, correlations_of
 from hystfit.population.next_device import NextDevice, away
 from hystfit.registry import attribute
-from hystfit.results.estimates import edges_of
+from hystfit.results.estimates import INTERVAL, edges_of
 from hystfit.results.exchange import arviz_data
 from hystfit.sampling.predictive import simulate_rows
 
 SCHEMA = "hystfit.population/3"
-INTERVAL = (0.05, 0.5, 0.95)  # quantiles: an interval of 90 % about the median
 _UNUSUAL = 0.05  # probability of so unusual a device among all of the population, below which it is outlying
 MEANING = "sd: from device to device in the population; sd here: of these devices; sd of fits: of their fits, which adds fit errors."
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)

@@ -16,6 +16,8 @@ from hystfit.params.space import MANY, ParameterSpace
 
 T = TypeVar("T")
 
+INTERVAL = (0.05, 0.5, 0.95)  # quantiles of tables of many fits: 90 % about the median
+
 
 def edges_of(level: float) -> list[float]:
     """Lower edge, median and upper edge of an interval with this probability between 0 and 1, as quantiles."""
