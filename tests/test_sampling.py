@@ -456,7 +456,7 @@ def test_chains_go_on_until_they_have_converged_and_their_first_draws_stay(fitte
     longer = sample(fitted, extend=16, **settings)
     assert longer.status is Status.OK
     count = longer.draws.shape[1]
-    assert count in (120, 240, 480, 960)
+    assert 60 < count < 960
     half = Convergence.of(longer.draws[:, : count // 2])
     assert half.problems(longer.names)  # no longer than necessary
     again = sample(fitted, extend=16, **settings)  # from the files

@@ -26,6 +26,7 @@ from hystfit.fitting.solvers.multistart import spread_starts
 from hystfit.fitting.solvers.thinning import LEAST, kept_samples
 from hystfit.inference.objective import Objective
 from hystfit.models.base import AbstractHysteresis
+from hystfit.models.shared.starting import scales_of
 from hystfit.params.host_arrays import zeros
 from hystfit.params.units import Scales
 
@@ -34,7 +35,6 @@ _FIRST = 2  # loops from whose starting values all others begin: with 1, 2 and 3
 _LOOKED_AT = 512  # loops among which these are chosen
 # Steps of each start that is read off a loop, before the best one goes on: a loop that is not described from it is solved from all starts.
 _GLANCE = 3
-_TYPICAL = 0.01  # sampling interval where there is none, as in `scales_of`
 
 
 def same_columns(a: Record, b: Record, *names: str) -> bool:
@@ -59,9 +59,8 @@ class Group:
     @functools.cached_property
     def sizes(self) -> Float[np.ndarray, "N 3"]:
         """Natural sizes of input, output and time of each loop."""
-        (low, high), record = self._ends, self.record
-        interval = 100 * (record.sampling_interval or _TYPICAL)
-        same = np.tile([0.5 * np.ptp(record.u), 1.0, interval], (len(low), 1))
+        (low, high), scales = self._ends, scales_of(Dataset.of(self.record))
+        same = np.tile([scales.u, 1.0, scales.s], (len(low), 1))
         same[:, 1] = 0.5 * (high - low)
         return same
 

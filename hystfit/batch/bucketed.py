@@ -31,7 +31,6 @@ class Task(NamedTuple):
 
     @classmethod
     def of(cls, problem: Problem, starts: np.ndarray) -> Task:
-        """The task of a problem."""
         return cls(problem, thin(problem) if len(starts) > 1 else None, starts)
 
     @property

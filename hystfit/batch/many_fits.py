@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from hystfit.outcome import Column, Status, Table, WithStatus
+from hystfit.results.estimates import INTERVAL
 from hystfit.results.provenance import provenance
 
 ERRORS = ("rmse", "error_percent", "max_error_percent")
-_OUTER = (0.05, 0.5, 0.95)  # quantiles over the loops that the table shows
 
 
 class ManyFits(WithStatus, abc.ABC):
@@ -50,7 +50,7 @@ class ManyFits(WithStatus, abc.ABC):
         heads = ("loops", "median", "5 %", "95 %", *last)
         cells = []
         for name, unit, values, more in rows:
-            low, middle, high = np.quantile(values, _OUTER).tolist() if values.size else [None] * 3
+            low, middle, high = np.quantile(values, INTERVAL).tolist() if values.size else [None] * 3
             cells.append([name, unit, int(values.size), middle, low, high, *more])
         return Table([Column("parameter"), Column("unit", left=True), *map(Column, heads)], cells)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Loops = Annotated[str, Parameter(help="files, or patterns in quotes ('loops/*.csv'); every curve is a loop of its own")]
 Format = Literal["parquet", "netcdf", "zarr"]
 ENDINGS: dict[Format, str] = {"parquet": ".parquet", "netcdf": ".nc", "zarr": ".zarr"}
-FEW = 32  # loops below which further processes take longer to start than to compute
+_FEW = 32  # loops below which further processes take longer to start than to compute
 
 
 def check_packages(forms: Iterable[Format]) -> None:
@@ -35,6 +35,15 @@ def check_packages(forms: Iterable[Format]) -> None:
     for form in forms:
         for package in TABLES[ENDINGS[form]]:
             optional(package, "frames", f"--table {form}")
+
+
+def processes_for(loops: Sequence[str], workers: int | None) -> int:
+    """Processes as chosen, by default one for each core where there are many loops; refuses none."""
+    from hystfit.batch.sources import sources_of
+
+    if not loops:
+        raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
+    return workers or (1 if len(sources_of(list(loops))) < _FEW else os.cpu_count() or 1)
 
 
 @lists(methods=ESTIMATORS)
@@ -66,16 +75,11 @@ def batch(
         reports: number of loops with a report, those that need attention first; or all.
     """
     from hystfit.batch.many import fit_many
-    from hystfit.batch.sources import sources_of
 
     output.check()
     use_device(device)
-    if not loops:
-        raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
-    count = _count(reports)
+    processes, count = processes_for(loops, workers), _count(reports)
     check_packages(table or [])
-    found = len(sources_of(list(loops)))
-    processes = workers or (1 if found < FEW else os.cpu_count() or 1)
     with progress(f"fitting {model}") as update, resumable(output.run):
         fits = fit_many(
             model,

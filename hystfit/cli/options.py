@@ -49,8 +49,7 @@ Limits = Annotated[
 ]
 
 Covariates = Annotated[
-    list[str] | None,
-    Parameter(name="--covariate", help="value of a covariate of the fit, as T_degC=30; repeatable"),
+    list[str] | None, Parameter(name="--covariate", help="value of a covariate of the fit, as T_degC=30; repeatable")
 ]
 
 Purpose = Annotated[
@@ -208,14 +207,7 @@ class Output:
         return None if self.out is None else self.out / "run"
 
     def check(self, own: str = "") -> None:
-        """Refuse, before long work, a folder that cannot be written or holds another result.
-
-        Args:
-            own: schema of the result without its number, where it may replace a fit or a posterior of its own kind.
-
-        Raises:
-            HystfitError: `out` cannot be written, or holds something else.
-        """
+        """Refuse, before long work, a folder that cannot be written or holds another result than one of the schema `own`."""
         if self.out is None:
             return
         from hystfit.results.saved import check_target

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hystfit.cli.batches import FEW
+from hystfit.cli.batches import processes_for
 from hystfit.cli.interrupts import resumable
 from hystfit.cli.options import DEFAULT_READING, FITTING, STDOUT, Fitting, Output, Reading
 from hystfit.cli.write import finish, progress, write_input
@@ -49,12 +48,9 @@ def population(
         workers: processes (default: one for each core where there are many loops).
     """
     output.check("hystfit.population")
-    if not loops:
-        raise DataError("LOOP is missing: name files, or a pattern in quotes ('loops/*.csv')")
-    from hystfit.batch.sources import sources_of
+    processes = processes_for(loops, workers)
     from hystfit.population.fit_population import fit_population
 
-    few = len(sources_of(list(loops))) < FEW
     with progress(f"fitting {model}") as update, resumable(output.run):
         result = fit_population(
             model,
@@ -64,7 +60,7 @@ def population(
             draws=draws,
             chains=chains,
             folder=output.run,
-            workers=workers or (1 if few else os.cpu_count() or 1),
+            workers=processes,
             reading=dataclasses.asdict(reading),
             progress=update,
             **fitting.keywords(),
@@ -124,29 +120,20 @@ def _page(result: PopulationFit, folder: Path, proposal: PopulationDesign | None
         "correlation": "Correlations between parameters: medians below, intervals of 90 % above the diagonal",
         "shrinkage": "Fitted values against those given all devices: a device with a poor record moves toward the mean",
     }
-    rows = result.device_rows()
-    columns = [
-        Column("device"),
-        *(Column(name) for name in result.names),
-        Column("effective", form=".2f"),
-        Column("unusual", form=".3f"),
-    ]
-    devices = Table(
-        columns, [[row["device"], *(row[n] for n in result.names), row["effective"], row["unusual"]] for row in rows]
-    )
+    columns = [Column("device"), *map(Column, result.names)]
+    columns += [Column("effective", form=".2f"), Column("unusual", form=".3f")]
+    shown = ("device", *result.names, "effective", "unusual")
+    devices = Table(columns, [[row[key] for key in shown] for row in result.device_rows()])
     answer = [
         ("Devices", str(len(result.devices))),
         ("Outlying", ", ".join(result.outlying) or "none"),
         ("Next", f"hystfit sample FIT --prior-from {folder}"),
     ]
-    shown = [Picture(result.plot(kind), caption, name=kind) for kind, caption in captions.items()]
+    pictures = [Picture(result.plot(kind), caption, name=kind) for kind, caption in captions.items()]
     sections = [
-        (
-            "Mean and scatter",
-            [result.summary(), MEANING],
-        ),
+        ("Mean and scatter", [result.summary(), MEANING]),
         *([("Change of the mean device with covariates", [result.effects_table()])] if result.covariates else []),
-        ("Pictures", [shown]),
+        ("Pictures", [pictures]),
         ("Correlations whose interval excludes zero", [result.correlation_table()]),
         ("Devices", [devices]),
     ]

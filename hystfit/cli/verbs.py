@@ -46,10 +46,7 @@ VERBS = {
     "design": ("uncertainty:design", "Propose the next input to measure, which reduces the standard errors most."),
     "report": ("predict:report", "Print the report of a saved fit and draw its plots again."),
     "simulate": ("simulate:simulate", "Simulate a record with the piezo stage, a model or a fit."),
-    "run": (
-        "run_file:run",
-        "Run the steps of a study from one file, except those whose inputs have not changed.",
-    ),
+    "run": ("run_file:run", "Run the steps of a study from one file, except those whose inputs have not changed."),
     "models": ("catalog:models", "List the models, or the parameters of one."),
     "datasets": ("catalog:datasets", "List the data sets known by name, or write one to a file."),
     "completion": ("catalog:completion", "Set up completion with the Tab key in bash, zsh or fish."),
@@ -136,7 +133,6 @@ class WrappedHelp(DefaultFormatter):
     """Panels whose descriptions have no line breaks but those of the terminal: those of the source come at any column."""
 
     def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
-        """Print a panel."""
         for entry in panel.entries:
             _join_lines(entry)
         super().__call__(console, options, panel)

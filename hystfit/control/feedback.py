@@ -24,8 +24,7 @@ def pd_lead_lag(gain: float, *, derivative: float, filter: float, zero: float, p
 
     Args:
         gain: at s = 0, input over output units.
-        derivative: T_d [s] of the PD part; `filter` T_f [s] of its roll-off.
-        filter: see `derivative`.
+        derivative, filter: T_d of the PD part, and T_f of its roll-off [s].
         zero, pole: of the lead-lag part [rad/s]; a lag has its pole below its zero.
 
     Raises:
@@ -236,21 +235,12 @@ class Controller(AbstractController):
         return cls(*(jnp.asarray(value, dtype=jnp.result_type(float)) for value in values))
 
     def init(self) -> Float[Array, " n"]:
-        """At rest."""
         return jnp.zeros_like(self.B)
 
     def ask(self, state: Float[Array, " n"], error: Scalar) -> Scalar:
-        """Output of the controller for an error."""
         return self.C @ state + self.D * error
 
     def step(self, state: Float[Array, " n"], error: Scalar, taken: Any = 0.0) -> Float[Array, " n"]:
-        """Next state of the controller; `taken` is nonzero where the limits changed the input.
-
-        Args:
-            state: before the sample, shape (n,).
-            error: reference minus output [y].
-            taken: applied minus computed input, nonzero at the limits [u].
-        """
         return self.A @ state + self.B * error + self.L * taken
 
 

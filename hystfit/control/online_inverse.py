@@ -117,17 +117,18 @@ class InverseStep(AbstractRunningInverse):
         if not low < high:
             raise ModelError(f"limits must be (low, high) with low < high, got {limits}")
         solver = inverted.step_inverse()
-        travel = _output_travel(solver, low, high)
+        bounded = bool(np.isfinite([low, high]).all())
+        as_array = lambda value: jnp.asarray(value, dtype=jnp.result_type(float))
+        travel = float(_output_travel(solver, as_array(low), as_array(high))) if bounded else 0.0
         if travel < 0:
             solver = inverted.step_inverse(-1.0)
-        if solver.needs_limits and not (np.isfinite(low) and np.isfinite(high)):
+        if solver.needs_limits and not bounded:
             raise ModelError(
                 f"the inverse of {type(inverted).__name__} is a search: give limits=(low, high), the inputs to search between"
             )
         if tolerance is None:
             tolerance = 1e-7 * abs(travel) or 1e-9
-        numbers = (jnp.asarray(value, dtype=jnp.result_type(float)) for value in (low, high, tolerance))
-        return cls(inverted, solver, *numbers, given=limits is not None)
+        return cls(inverted, solver, *map(as_array, (low, high, tolerance)), given=limits is not None)
 
     def init(self, u0: Any = 0.0) -> Resume:
         """The model in equilibrium at an input."""
@@ -138,11 +139,6 @@ class InverseStep(AbstractRunningInverse):
         """The input for the next sample of the reference, `dt` after the last.
 
         A target that is not finite holds the input and is out of range.
-
-        Args:
-            memory: state and last input.
-            target: desired output.
-            dt: time since the last sample [s].
         """
         state, u0 = memory
         target, dt = (jnp.asarray(value, dtype=u0.dtype) for value in (target, dt))
@@ -189,14 +185,7 @@ def fitted_inputs(model: Any) -> tuple[tuple[float, float] | None, AbstractHyste
 
 
 @eqx.filter_jit
-def _across(solver: AbstractStepInverse, low: Array, high: Array) -> Array:
+def _output_travel(solver: AbstractStepInverse, low: Array, high: Array) -> Array:
+    """Change of the output from the lower to the upper limit."""
     state, first = solver.advance(solver.model.init(low), low, low, jnp.zeros_like(low))
     return solver.advance(state, low, high, jnp.zeros_like(low))[1] - first
-
-
-def _output_travel(solver: AbstractStepInverse, low: float, high: float) -> float:
-    """Change of the output from the lower to the upper limit; 0 where these are not finite."""
-    if not (np.isfinite(low) and np.isfinite(high)):
-        return 0.0
-    edges = jnp.asarray([low, high], dtype=jnp.result_type(float))
-    return float(_across(solver, edges[0], edges[1]))

@@ -104,10 +104,6 @@ def margins(loop: TransferFunction, delay: float = 0.0) -> Margins:
 
     Evaluated on a grid of frequencies from 1e-3 of the slowest corner to 1e3 of the fastest, dense enough for resonances of
     a damping ratio of 1e-3 and more.
-
-    Args:
-        loop: open loop.
-        delay: dead time [s].
     """
     corners = np.abs(np.concatenate([loop.poles, loop.zeros]))
     corners = corners[corners > 0]

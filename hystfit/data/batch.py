@@ -73,12 +73,9 @@ class Batch(PlainModule):
         return None if self.counts is None else self.counts[record]
 
     def with_room(self, counts: Int[np.ndarray, " R"] | None = None) -> Batch:
-        """The same samples in arrays of common lengths, see `room`, and how many of each record are simulated.
+        """The same samples in arrays of common lengths, see `room`, and how many of each record are simulated: all that count, or `counts`.
 
         Those of few samples are kept as long as the batch: the iterations of a fit ask for the same ones hundreds of times.
-
-        Args:
-            counts: shape (R,), at most the length of the arrays; by default up to the last sample that counts.
         """
         records, length = self.u.shape
         wide = room(length, records)

@@ -44,13 +44,10 @@ def _is_resolved(u: np.ndarray, y: np.ndarray, area: float, mirrored: bool) -> b
 
 
 def trend(u: np.ndarray, y: np.ndarray) -> float:
-    """Correlation of output and input: negative where the output falls as the input rises; 0 where one of them is constant.
+    """Correlation of output and input, (T,) without gaps: negative where the output falls as the input rises; 0 where one is constant.
 
     A loop that rises on a line that falls more, as of a magnetic film on its diamagnetic substrate, counts without the line. It runs
     counter-clockwise as it was measured; so does a force of the other sign, which does not rise without a line.
-
-    Args:
-        u, y: input and output, shape (T,), without missing samples.
     """
     if u.size < 2 or not (np.ptp(u) > 0 and np.ptp(y) > 0):
         return 0.0

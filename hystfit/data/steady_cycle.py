@@ -84,9 +84,7 @@ def _at_crossing(
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Difference of the slopes of both branches at the first sample, and the kink or step there from the end of the period to its start.
 
-    Args:
-        x: input from that of the first sample, in parts of the range that is near.
-        turns: where the other branch begins and ends.
+    `x` is the input from that of the first sample, in parts of the range; the other branch lies between `turns`.
     """
     rises = np.ones(x.size, bool)
     rises[turns[0] + 1 : turns[1]] = False

@@ -29,20 +29,12 @@ Answer = Points | Mapping[str, Any]
 
 
 class Server(ThreadingHTTPServer):
-    """The page of a session and its answers; runs from `open` until `close`.
-
-    Attributes:
-        url: address of the page, with its token.
-    """
+    """The page of a session and its answers, from `open` until `close`; `url` is its address, with its token."""
 
     daemon_threads = True
 
     def __init__(self, session: Session, port: int = 0):
-        """Listen on a port of 127.0.0.1.
-
-        Args:
-            port: 0 takes a free one.
-        """
+        """Listen on a port of 127.0.0.1; 0 takes a free one."""
         try:
             super().__init__(("127.0.0.1", port), _Handler)
         except (OSError, OverflowError) as error:
@@ -85,7 +77,6 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = _PATIENCE_S
 
     def do_GET(self) -> None:
-        """The page."""
         if fault := self._fault(""):
             return self._fail(fault)
         nonce = secrets.token_urlsafe(16)
@@ -167,11 +158,7 @@ _PARTS = ("panel.js", "source.js", "explorer.js")
 
 
 def document(scene: Mapping[str, Any], *, model_script: str = "", nonce: str = "") -> str:
-    """HTML with style, scripts and data in it.
-
-    Args:
-        scene: what the page shows first, see `Session.scene`.
-    """
+    """HTML with style, scripts and data in it; `scene` is what the page shows first."""
     from jinja2 import Environment, PackageLoader
 
     texts = {

@@ -53,7 +53,6 @@ class View:
     """A model as the user chose it, on a record as it is fitted; free parameters without a slider, `hidden`, keep their values."""
 
     def __init__(self, choice: str, model: AbstractHysteresis, record: Record):
-        """Choose sliders and their ranges."""
         self.choice, self.record = choice, record
         names = short_names([leaf.path for leaf in leaves_of(model)])
         self._space = ParameterSpace.of(model, free=names, scales=scales_of(Dataset.of(record)))

@@ -42,11 +42,7 @@ class Sample(NamedTuple):
 
     @classmethod
     def of(cls, u: Any, y: Any, dt: Any = 0.0, first: Any = False) -> Sample:
-        """From plain numbers.
-
-        Args:
-            u, y, dt, first: as the attributes, numbers or arrays of one shape.
-        """
+        """From plain numbers, or arrays of one shape."""
         dtype = jnp.result_type(float)
         return cls(jnp.asarray(u, dtype), jnp.asarray(y, dtype), jnp.asarray(dt, dtype), jnp.asarray(first, bool))
 
@@ -173,14 +169,7 @@ class AbstractIdentifier(eqx.Module):
         return self.conclude(data, stream, *run_stream(self, self.init(), stream))
 
     def conclude(self, data: Dataset, stream: Sample, state: Any, info: Info) -> Identification:
-        """The identification from a finished run.
-
-        Args:
-            data: the records.
-            stream: their samples in the order of the run, leaves of shape (T,).
-            state: of the identifier after them.
-            info: of every update, leaves of shape (T, ...).
-        """
+        """The identification from a finished run over a stream, with the state after it and what each update told."""
         history, errors = np.asarray(info.theta), np.asarray(info.error)
         models = self._models(history[-1], data)
         space = free_only(models[0], (*self.names, *self.solved), data) if models else None

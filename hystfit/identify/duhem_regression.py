@@ -117,15 +117,7 @@ class DuhemRegressor(eqx.Module):
         return self.m + self.n + 1
 
     def row(self, u0: Array, u1: Array, y0: Array, y1: Array) -> tuple[Float[Array, "... p"], Float[Array, "..."]]:
-        """Regressors and responses of steps.
-
-        Args:
-            u0, u1: input before and after the step [u], any common shape.
-            y0, y1: output before and after the step [y], of the same shape.
-
-        Returns:
-            phi of shape (..., p) and target of the common shape.
-        """
+        """Regressors (..., p) and responses (...,) of steps from inputs u0 [u] and outputs y0 [y], of any one shape, to u1 and y1."""
         v, w = 0.5 * (u0 + u1), 0.5 * (y0 + y1) if self.scheme == "midpoint" else y0
         if self.basis == "powers":
             d, terms = u1 - u0, [v**i for i in range(max(self.m, self.n))]
@@ -165,11 +157,7 @@ class DuhemRegressor(eqx.Module):
         return Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def enough_rows(self, data: Record | Dataset) -> Rows:
-        """`rows`, at least one for each parameter.
-
-        Raises:
-            DataError: fewer usable steps than parameters.
-        """
+        """`rows`; a DataError where they are fewer than the parameters."""
         rows = self.rows(data)
         if rows.target.size < self.p:
             raise DataError(

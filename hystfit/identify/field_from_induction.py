@@ -71,7 +71,6 @@ class Reach(NamedTuple):
 
     @classmethod
     def of(cls, sequences: Sequence[FluxSequence]) -> Reach:
-        """That of some sequences."""
         warm = [one.temperature for one in sequences]
         return cls(max(float(np.abs(one.b).max()) for one in sequences), min(warm), max(warm))
 
@@ -160,12 +159,7 @@ class FieldFromInduction:
         return (one.b[:, None] - plays).reshape(one.b.size, *states.shape)
 
     def columns(self, one: FluxSequence, stops: np.ndarray) -> np.ndarray:
-        """The columns of the coefficients, shape (T, 28).
-
-        Args:
-            one: the sequence.
-            stops: from one of its histories, shape (T, 8).
-        """
+        """The columns of the coefficients, shape (T, 28), from the stops (T, 8) of one of the sequence's histories."""
         warm = (one.temperature - 25.0) / 25.0
         limit = self.saturation * (1 - self.drop * (one.temperature - 25.0))
         x = np.clip(one.b / limit, -_CLIP, _CLIP)

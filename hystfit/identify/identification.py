@@ -119,12 +119,7 @@ def run_metrics(runs: list[np.ndarray], data: Dataset) -> Metrics:
 
 
 def as_fit(identification: Identification, seed: int, watch: Stopwatch) -> FitResult:
-    """The identification as a fit without standard errors.
-
-    Args:
-        identification: with a valid model.
-        seed: recorded in the provenance.
-        watch: started with the identification.
+    """The identification as a fit without standard errors; the `watch` was started with it.
 
     Raises:
         ModelError: the identified parameters are not a valid model, or its simulation is not finite.

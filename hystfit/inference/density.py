@@ -40,7 +40,6 @@ class Density(eqx.Module):
         return jnp.concatenate([self.objective.coordinates.physical(z[: self.p]), self.noise.physical(z[self.p :])])
 
     def log_prior(self, z: Float[Array, " d"]) -> Scalar:
-        """Log prior density over z."""
         x = self.physical(z)
         total = sum((prior.log_density(x[k]) for k, prior in enumerate(self.priors)), jnp.zeros(()))
         if self.dependence is not None:

@@ -34,10 +34,7 @@ class AbstractInformation(eqx.Module):
 
     @abc.abstractmethod
     def covariance(self, moments: Moments, prior: Float[Array, "p p"]) -> Float[Array, "p p"]:
-        """Covariance of the estimate from the sum of moments.
-
-        `prior` is the information about the parameters before any measurement.
-        """
+        """Covariance of the estimate from the sum of moments, and from `prior` information."""
 
 
 class LeastSquaresInformation(AbstractInformation):
@@ -54,11 +51,7 @@ class LeastSquaresInformation(AbstractInformation):
 
     @classmethod
     def of(cls, plain: float, fit: SlowNoiseFit | None, ratio: float = 1.0) -> LeastSquaresInformation:
-        """From the noise estimated from residuals.
-
-        `plain` is the variance of the residuals [y^2]. Without slow noise (`fit` None), `ratio` is that of the standard errors to
-        those for independent residuals.
-        """
+        """From the noise of residuals of variance `plain` [y^2]; without slow noise, standard errors grow by `ratio`."""
         if fit is None:
             none = jnp.zeros(0)
             zero, one = jnp.zeros(()), jnp.ones(())

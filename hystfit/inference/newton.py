@@ -52,13 +52,8 @@ def second_order(
 ) -> tuple[Scalar, Float[Array, "2 d"], Float[Array, "d d"]]:
     """Value; gradient, at z and averaged over the points about it; and the Hessian by central differences of the gradient.
 
-    Second derivatives through a scan cost far more on a CPU. One loop over all points, so that the function is compiled once.
-
-    Args:
-        slope: value and gradient of z.
-        z: where.
-        axes: orthonormal directions, as columns, along which differences are taken.
-        width: how far to either side along each; near the principal axes and a standard deviation every entry keeps its digits.
+    Differences are taken by `width` to either side along orthonormal `axes` (columns): near the principal axes and a standard deviation
+    every entry keeps its digits. Second derivatives through a scan cost far more on a CPU; one loop compiles the function once.
     """
     d = z.shape[0]
     steps = (axes * width).T

@@ -211,13 +211,9 @@ def parse(text: str) -> AbstractPrior:
 
 
 def priors_around(space: ParameterSpace, x: np.ndarray, spread: float = 0.2) -> dict[str, AbstractPrior]:
-    """Priors about given values, with a relative `spread` in the distance to a bound or in the natural size.
+    """Priors about physical values x, (p,), with a relative `spread` in the distance to a bound or in the natural size.
 
     A value on a bound (a play's weight of zero) is first moved inside, by a hundredth of the natural size or of the interval.
-
-    Args:
-        x: physical values, shape (p,).
-        spread: relative width.
     """
     lower, upper, scale = space.lower, space.upper, space.scale
     priors: dict[str, AbstractPrior] = {}
@@ -265,12 +261,9 @@ def choose_priors(
     x: np.ndarray | None = None,
     others: Sequence[str] = (),
 ) -> tuple[AbstractPrior, ...]:
-    """Default priors, replaced by the user's where given, in the order of the space.
+    """Default priors about `x`, replaced by the user's where given, in the order of the space; `others` are more names for a message.
 
-    Args:
-        given: by name; a name without a record, such as "offset", stands for that parameter in every record.
-        x: fitted values, as in `default_priors`.
-        others: names of another space, for the error message.
+    A given name without a record, such as "offset", stands for that parameter in every record.
     """
     chosen = default_priors(space, x)
     for name, prior in (given or {}).items():

@@ -34,17 +34,9 @@ class Split:
 
     @classmethod
     def of(
-        cls,
-        space: ParameterSpace,
-        records: Sequence[Record],
-        x: np.ndarray,
-        *,
-        held: HeldOut | None = None,
+        cls, space: ParameterSpace, records: Sequence[Record], x: np.ndarray, *, held: HeldOut | None = None
     ) -> Split:
-        """Split at given values of the other parameters.
-
-        Values of x that are weights do not matter. `held` is that of `SmoothSystem.of`.
-        """
+        """Split at values x of the other parameters (those of weights do not matter); `held` is that of `SmoothSystem.of`."""
         if space.ties:
             raise ParameterError("tied parameters need another method than 'preisach': choose method='lm'")
         system = SmoothSystem.of(_designs(space, records, x), records, held=held)

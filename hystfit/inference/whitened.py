@@ -24,7 +24,14 @@ class Whitened(eqx.Module):
         self, r: Float[Array, "R T"], J: Float[Array, "R T p"]
     ) -> tuple[Scalar, Float[Array, " p"], Float[Array, "p p"]]:
         """Half the squared whitened residual, its gradient and the information matrix, from residuals and their derivatives."""
-        return self._project(jnp.concatenate([r[..., None], J], axis=-1))
+        k = J.shape[-1] + 1
+        e, count = self._filter(jnp.concatenate([r[..., None], J], axis=-1))
+        inner, shapes = e[:, :k], e[:, k:]
+        gram = inner.T @ inner
+        if count:
+            cross = shapes.T @ inner
+            gram = gram - cross.T @ jnp.linalg.solve(jnp.eye(count) + shapes.T @ shapes, cross)
+        return 0.5 * gram[0, 0], gram[0, 1:], gram[1:, 1:]
 
     def rows(self, r: Float[Array, "R T"], J: Float[Array, "R T p"]) -> Float[Array, "n q"]:
         """Whitened columns [shapes, J, r] above the prior rows of the shapes' weights: a QR of them solves everything."""
@@ -37,16 +44,6 @@ class Whitened(eqx.Module):
         joined = [columns, signals] if first else [signals, columns]
         e, _ = self.noise.whiten(self.setting, jnp.concatenate(joined, axis=-1))
         return e.reshape(-1, e.shape[-1]), columns.shape[-1]
-
-    def _project(self, signals: Array) -> tuple[Array, Array, Array]:
-        k = signals.shape[-1]
-        e, count = self._filter(signals)
-        inner, shapes = e[:, :k], e[:, k:]
-        gram = inner.T @ inner
-        if count:
-            cross = shapes.T @ inner
-            gram = gram - cross.T @ jnp.linalg.solve(jnp.eye(count) + shapes.T @ shapes, cross)
-        return 0.5 * gram[0, 0], gram[0, 1:], gram[1:, 1:]
 
 
 def restricted(noise: AbstractNoise, setting: Setting, r: Array, J: Array, moving: Array) -> Array:

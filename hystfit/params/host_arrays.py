@@ -13,12 +13,11 @@ import numpy as np
 from jax import dtypes
 
 from hystfit.config import on_device, program_options, set_compiler_flags
-from hystfit.params.kept_programs import kept, unoptimized
+from hystfit.params.kept_programs import ARRAYS, kept, unoptimized
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 NUMBERS = 2**21  # of an array that is computed at once (16 MiB in double precision)
-_ARRAYS = (np.ndarray, jax.Array, np.generic)
 set_compiler_flags()  # before JAX computes: every model is made of arrays from here
 
 
@@ -70,7 +69,7 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
         leaves, structure = jax.tree_util.tree_flatten(trees)
         quick = unoptimized(leaves)
         with on_device():
-            if not all(isinstance(leaf, _ARRAYS) for leaf in leaves):
+            if not all(isinstance(leaf, ARRAYS) for leaf in leaves):
                 return of_any(quick)(*trees)
             # JAX would flatten the trees once more: half the time of a short simulation.
             return (programs.get((structure, quick)) or program_for(structure, quick))(*leaves)

@@ -37,7 +37,7 @@ _MOST_BYTES = 2**26  # in the folder; programs unused for longest are removed fi
 _FEW_NUMBERS = 2**12
 _CHECK = hashlib.sha256().digest_size
 _VERSIONED = ("hystfit", "equinox", "jax", "numpy", "builtins")  # packages whose classes a name and a version describe
-_ARRAYS = (jax.Array, np.ndarray, np.generic)
+ARRAYS = (jax.Array, np.ndarray, np.generic)
 _BY_VALUE = (bool, int, float, complex, str, bytes, type(None), type(...))
 
 
@@ -60,7 +60,7 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
         for leaf in leaves:
             if isinstance(leaf, jax.core.Tracer):
                 return otherwise(*trees)
-            if isinstance(leaf, _ARRAYS):
+            if isinstance(leaf, ARRAYS):
                 arrays.append(leaf)
                 kinds.append((leaf.shape, leaf.dtype))
             else:
@@ -96,7 +96,7 @@ def kept(function: Callable[..., Any], otherwise: Callable[..., Any]) -> Callabl
 def unoptimized(leaves: Iterable[Any]) -> bool:
     """Whether a program of these arguments is compiled without optimization: on few numbers, where few runs are expected."""
     return compiles_quickly() and all(
-        not isinstance(leaf, _ARRAYS) or (leaf.size <= _FEW_NUMBERS and not isinstance(leaf, jax.core.Tracer))
+        not isinstance(leaf, ARRAYS) or (leaf.size <= _FEW_NUMBERS and not isinstance(leaf, jax.core.Tracer))
         for leaf in leaves
     )
 

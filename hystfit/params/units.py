@@ -228,7 +228,7 @@ def _product(plain: str) -> Unit | None:
 
 def _symbol(symbol: str) -> Unit | None:
     """One symbol with or without a prefix."""
-    symbol = _spelled(symbol)
+    symbol = symbol_of(symbol)
     if symbol in ("1", "kg"):
         return Unit(1.0, (("kg", 1.0),) if symbol == "kg" else ())
     size, base = 1.0, symbol
@@ -243,13 +243,8 @@ def _symbol(symbol: str) -> Unit | None:
     return None if inner is None else Unit(size * factor * inner.factor, inner.powers)
 
 
-def symbol_of(word: str) -> str:
-    """The symbol of a unit that is written as one word: V for Volts, mA for milliamps; other texts as they are."""
-    return _spelled(word)
-
-
-def _spelled(symbol: str) -> str:
-    """The symbol of a unit that is written as a word or in capital letters, with its prefix."""
+def symbol_of(symbol: str) -> str:
+    """The symbol of a unit that is written as one word or in capital letters: V for Volts, mA for milliamps; other texts as they are."""
     if symbol in _SYMBOLS or symbol in _SPELLINGS:
         return _SPELLINGS.get(symbol, symbol)
     word = symbol.lower()

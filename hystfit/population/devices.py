@@ -42,32 +42,28 @@ class Common:
 
     def z_of(self, x: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p"]:
         """z from physical values of these parameters."""
-        return self._mapped("unconstrained", x)
+        full = self._among(x, self.space.vector(self.space.template))
+        return np.asarray(self.space.coordinates.unconstrained(full, 1e-6, np))[..., self.at]
 
     def x_of(self, z: Float[np.ndarray, "... p"]) -> Float[np.ndarray, "... p"]:
         """Physical values from z."""
-        return self._mapped("physical", z)
+        return np.asarray(self.space.coordinates.physical(self._among(z), np))[..., self.at]
 
     def slope(self, z: Float[np.ndarray, " p"]) -> Float[np.ndarray, " p"]:
         """dx/dz."""
-        full = np.zeros(len(self.space))
-        full[self.at] = z
-        return np.asarray(self.space.coordinates.slope(full, np))[self.at]
+        return np.asarray(self.space.coordinates.slope(self._among(z), np))[self.at]
 
     def precision(self, information: Float[np.ndarray, "q q"], z: Float[np.ndarray, " p"]) -> Float[np.ndarray, "p p"]:
         """Precision in z, about z, from the information about all parameters of a device, physical: the others are integrated out."""
         slope = self.slope(z)
         return slope[:, None] * marginal(information, self.at) * slope[None, :]
 
-    def _mapped(self, way: str, values: np.ndarray) -> np.ndarray:
-        space = self.space
-        full = np.broadcast_to(space.vector(space.template), (*values.shape[:-1], len(space))).copy()
-        if way == "physical":
-            full[...] = 0.0
+    def _among(self, values: np.ndarray, others: np.ndarray | float = 0.0) -> np.ndarray:
+        """Values of all parameters of the space: of these, and `others` elsewhere."""
+        full = np.empty((*values.shape[:-1], len(self.space)))
+        full[...] = others
         full[..., self.at] = values
-        c = space.coordinates
-        out = c.physical(full, np) if way == "physical" else c.unconstrained(full, 1e-6, np)
-        return np.asarray(out)[..., self.at]
+        return full
 
     def priors(self, mean: np.ndarray, sd: np.ndarray) -> dict[str, AbstractPrior]:
         """Independent priors over physical values that are normal in z."""
@@ -113,9 +109,10 @@ class Device:
         x = np.tile(self.x, (len(z), 1))
         x[:, common.at] = common.x_of(z)
         own = self.problem.space.clip(x)
-        density, p = self.problem.density, len(self.problem.space)
-        noise = self.problem.unconstrained(np.concatenate([self.problem.space.clip(self.x), _values(self.problem)]))[p:]
-        exact = np.asarray(_log_likelihoods(density, jnp.asarray(own), jnp.asarray(noise)))
+        density, noise = self.problem.density, self.problem.noise_space
+        assert noise is not None
+        held = noise.unconstrained(noise.vector(self.problem.noise))
+        exact = np.asarray(_log_likelihoods(density, jnp.asarray(own), jnp.asarray(held)))
         away = z - self.mean
         return exact + 0.5 * np.einsum("ni,ij,nj->n", away, self.precision, away)
 
@@ -151,12 +148,6 @@ def marginal(information: Float[np.ndarray, "q q"], at: np.ndarray) -> Float[np.
         cross = information[np.ix_(at, others)]
         inner = inner - cross @ np.linalg.pinv(information[np.ix_(others, others)], hermitian=True) @ cross.T
     return inner
-
-
-def _values(problem: Problem) -> np.ndarray:
-    """Fitted values of the noise."""
-    assert problem.noise_space is not None
-    return problem.noise_space.vector(problem.noise)
 
 
 @compiled

@@ -84,7 +84,8 @@ def fit_population(
     report = progress or (lambda text, fraction: None)
     began = time.perf_counter()
     of_fit = {**options, "seed": seed}
-    results, left_out = _fitted(model, records, by, folder, workers, reading, report, of_fit)
+    fits = fit_many(model, records, folder=folder, workers=workers, reading=reading, progress=report, **of_fit)
+    results, left_out = _fitted(fits, by, report, of_fit)
     for result in results.values():
         check_smooth(result.problem.space, "a population")
     common = _common(results, left_out)
@@ -122,17 +123,9 @@ def fit_population(
 
 
 def _fitted(
-    model: Any,
-    records: Any,
-    by: Any,
-    folder: Any,
-    workers: int,
-    reading: Any,
-    report: Progress,
-    options: dict[str, Any],
+    fits: Fits, by: Any, report: Progress, options: dict[str, Any]
 ) -> tuple[dict[str, FitResult], dict[str, str]]:
     """Fits by device, and the reasons of those without one."""
-    fits = fit_many(model, records, folder=folder, workers=workers, reading=reading, progress=report, **options)
     groups: dict[str, list[Row]] = {}
     for row in fits.rows:
         groups.setdefault(_device(row.name, by), []).append(row)

@@ -56,11 +56,7 @@ class NextDevice:
 
 
 def away(means: Mapping[str, float], covariates: Mapping[str, float]) -> Float[np.ndarray, " q1"]:
-    """A one, and covariates less their means, by default zero.
-
-    Raises:
-        ParameterError: an unknown covariate.
-    """
+    """A one, and covariates less their means, by default zero; unknown ones are refused."""
     if unknown := [name for name in covariates if name not in means]:
         raise ParameterError(f"no covariate {unknown[0]!r}; there are {', '.join(means) or 'none'}")
     return np.array([1.0, *(covariates.get(name, mean) - mean for name, mean in means.items())])

@@ -19,7 +19,7 @@ from hystfit.outcome.wrapping import shortened
 from hystfit.population.devices import DRAWS, Device, marginal
 from hystfit.population.hierarchy import Hierarchy, correlations_of
 from hystfit.population.population_fit import PopulationFit
-from hystfit.uncertainty.input_design import input_families
+from hystfit.uncertainty.input_design import input_families, input_limits
 from hystfit.uncertainty.predicted_errors import Plan, likelihood_information
 
 _ESTIMATES = 400  # drawn for each candidate, from as many of those draws
@@ -74,11 +74,8 @@ class Beliefs:
     def expected_fall(
         self, before: tuple[np.ndarray, np.ndarray], precision: Float[np.ndarray, "p p"]
     ) -> Float[np.ndarray, " m"]:
-        """Expected fall of the posterior variances of the quantities by an estimate, as fractions; NaN where the draws are too few.
-
-        Args:
-            before: mean and covariance of the device, of `of_new` or `of_device`.
-            precision: of the estimate; 0 in directions that it leaves open.
+        """Expected fall of the posterior variances of the quantities, as fractions, by an estimate of this precision (0 where it leaves a
+        direction open) of a device with mean and covariance `before`; NaN where the draws are too few.
         """
         weights = self._weights(before, precision)
         effective = 1.0 / np.sum(weights**2, axis=1)
@@ -167,11 +164,7 @@ class PopulationDesign(WithStatus):
         return self.candidates[0]
 
     def table(self, most: int | None = None) -> Table:
-        """Errors now, and expected with each candidate: medians over the parameters of the aim.
-
-        Args:
-            most: candidates at most.
-        """
+        """Errors now, and expected with each of at most so many candidates: medians over the parameters of the aim."""
         columns = [Column(""), Column("variance [%]", form=".1f"), Column("sd [%]", form=".3g")]
         columns += [Column("correlation", form=".3g"), Column("mean [sd]", form=".3g")]
         rows: list[list[Any]] = [["present", None, *self._medians(self.present)]]
@@ -274,20 +267,12 @@ def design_population(
         for name, u, precision in _measured(population, device, signals, again=number is not None):
             fall = beliefs.expected_fall(before, precision)
             known = bool(np.isfinite(fall).all())
-            errors = beliefs.sd * np.sqrt(1 - fall)
-            candidates.append(
-                Measurement(
-                    None if number is None else device.name,
-                    name,
-                    u,
-                    float(fall[counted].mean()) if known else None,
-                    {label: float(e) if known else None for label, e in zip(labels, errors, strict=True)},
-                )
-            )
+            errors = dict(zip(labels, (beliefs.sd * np.sqrt(1 - fall)).tolist(), strict=True))
+            errors, mean = (errors, float(fall[counted].mean())) if known else (dict.fromkeys(labels), None)
+            candidates.append(Measurement(None if number is None else device.name, name, u, mean, errors))
     candidates.sort(key=lambda one: -np.inf if one.fall is None else -one.fall)
     present = dict(zip(labels, beliefs.sd.tolist(), strict=True))
-    first = devices[0].result.data
-    dt = None if all(record.t is None for record in first) else first.sampling_interval
+    dt = devices[0].result.data.sampling_interval
     shown = tuple(label for label, on in zip(labels, counted, strict=True) if on)
     note = Note(Code.LOCAL, "the ranking is for one measurement, by what is known now: repeat it after the next one")
     return PopulationDesign(population, tuple(candidates), present, chosen, goal, shown, dt, (note,))
@@ -318,12 +303,8 @@ def _signals(
         if bad := [name for name, u in signals.items() if u.ndim != 1 or u.size < 2 or not np.isfinite(u).all()]:
             raise ParameterError(f"input {bad[0]!r} must be finite numbers of shape (T,)")
         return signals
-    every = [record.u for device in population.devices for record in device.result.data]
-    low = min(float(u.min()) for u in every) if low is None else low
-    high = max(float(u.max()) for u in every) if high is None else high
-    if not low < high or samples < 100:
-        raise ParameterError(f"the inputs need low < high and at least 100 samples, got {low}, {high} and {samples}")
-    return input_families(low, high, samples, seed)
+    every = (record for device in population.devices for record in device.result.data)
+    return input_families(*input_limits(every, low, high, samples), samples, seed)
 
 
 def _typical(devices: Sequence[Device]) -> Device:

@@ -9,8 +9,9 @@ from scipy.special import ndtri
 
 from hystfit.errors import ParameterError
 from hystfit.params.units import axis_label
-from hystfit.population.population_fit import INTERVAL, PopulationFit
+from hystfit.population.population_fit import PopulationFit
 from hystfit.results.colors import HELD_OUT, MODEL
+from hystfit.results.estimates import INTERVAL
 from hystfit.results.labels import use_available_fonts
 
 _ACROSS = 4  # panels in a row

@@ -7,28 +7,23 @@ import functools
 from pathlib import Path
 from typing import Any, ClassVar
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 from scipy.stats import f as f_distribution
 
 from hystfit.data.record import Record
 from hystfit.inference.correlated_priors import CorrelatedPriors
-from hystfit.models.shared.simulation import run
 from hystfit.outcome import Column, Note, Status, Table, WithStatus
 from hystfit.outcome.table import or_none
-from hystfit.params.coordinates import Coordinates
 from hystfit.population.devices import Common, Device
 from hystfit.population.hierarchy import Hierarchy, correlations_of
 from hystfit.population.next_device import NextDevice, away
 from hystfit.registry import attribute
-from hystfit.results.estimates import edges_of
+from hystfit.results.estimates import INTERVAL, edges_of
 from hystfit.results.exchange import arviz_data
+from hystfit.sampling.predictive import simulate_rows
 
 SCHEMA = "hystfit.population/3"
-INTERVAL = (0.05, 0.5, 0.95)  # quantiles: an interval of 90 % about the median
 _UNUSUAL = 0.05  # probability of so unusual a device among all of the population, below which it is outlying
 MEANING = "sd: from device to device in the population; sd here: of these devices; sd of fits: of their fits, which adds fit errors."
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
@@ -199,7 +194,8 @@ class PopulationFit(WithStatus):
         space = self.common.space
         x = np.tile(space.clip(space.vector(first.model)), (count, 1))
         x[:, self.common.at] = self.next_devices(count, seed, **covariates)
-        runs = np.asarray(_outputs(space.coordinates, jnp.asarray(x), jnp.asarray(own.u), jnp.asarray(own.dt)))
+        inputs = (jnp.asarray(own.u), jnp.asarray(own.dt), jnp.zeros(count, int))
+        runs = np.asarray(simulate_rows(space.coordinates, jnp.asarray(x), *inputs))
         lower, median, upper = np.quantile(first.to_unit_of(record, runs), edges, axis=0)
         return lower, median, upper
 
@@ -218,11 +214,7 @@ class PopulationFit(WithStatus):
         return NextDevice(correlated, self.covariates, scores[:, 1:].mean(axis=0), covariance)
 
     def priors(self, **covariates: float) -> CorrelatedPriors:
-        """Priors for the fit of a further device: the distribution of each parameter of the next one, with their correlations.
-
-        Args:
-            **covariates: see `next_devices`.
-        """
+        """Priors for the fit of a further device: the distribution of the next one, with correlations; covariates as in `next_devices`."""
         return self.next_device.priors(covariates)
 
     # -- views ---------------------------------------------------------------------------------------------------------
@@ -356,8 +348,3 @@ class PopulationFit(WithStatus):
             HystfitError: the folder cannot be written.
         """
         return attribute("hystfit.population.population_files:save")(self, folder)
-
-
-@eqx.filter_jit
-def _outputs(coordinates: Coordinates, x: Array, u: Array, dt: Array) -> Array:
-    return jax.lax.map(lambda row: run(coordinates.assemble(row, 0), u, dt)[0], x)

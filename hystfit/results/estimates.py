@@ -16,13 +16,11 @@ from hystfit.params.space import MANY, ParameterSpace
 
 T = TypeVar("T")
 
+INTERVAL = (0.05, 0.5, 0.95)  # quantiles of tables of many fits: 90 % about the median
+
 
 def edges_of(level: float) -> list[float]:
-    """Lower edge, median and upper edge of an interval with this probability, as quantiles.
-
-    Raises:
-        ParameterError: the level is not between 0 and 1.
-    """
+    """Lower edge, median and upper edge of an interval with this probability between 0 and 1, as quantiles."""
     if not 0 < level < 1:
         raise ParameterError(f"level must be between 0 and 1, such as 0.9; got {level}")
     return [0.5 - level / 2, 0.5, 0.5 + level / 2]

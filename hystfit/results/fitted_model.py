@@ -75,11 +75,7 @@ class FittedModel:
         return record.in_units(**units)
 
     def to_unit_of(self, record: Record, y: np.ndarray) -> np.ndarray:
-        """Outputs in the unit of the fit, converted to that of a record; unchanged where a unit is unknown.
-
-        Args:
-            y: outputs, any shape [unit of the fit].
-        """
+        """Outputs of any shape, converted from the unit of the fit to that of a record; unchanged where a unit is unknown."""
         factor = conversion(self.data.units["y"], record.y_unit) if record.y_unit else None
         return y if factor in (None, 1.0) else factor * y
 
@@ -127,11 +123,7 @@ class FittedModel:
         return Metrics.of([record.y[record.used] for record in records], predicted)
 
     def assumption(self, record: Record, *, refit_offset: bool = False) -> Note | None:
-        """What the prediction of a record assumes for parameters of each record; None where it was fitted or there are none.
-
-        Args:
-            refit_offset: as in `predict`; it replaces constants of the output.
-        """
+        """What the prediction of a record, perhaps with `refit_offset`, assumes for parameters of each record; None for nothing."""
         if self.is_fitted(record):
             return None
         first = self.data[0].name

@@ -137,24 +137,12 @@ class ForceLoops:
             ax = Figure(layout="constrained").subplots()
         for direction, points in self.backbone.items():
             at = [p.displacement for p in points]
-            ax.plot(
-                [0.0, *at],
-                [0.0, *(p.force for p in points)],
-                "o-",
-                color=MODEL,
-                label="first cycles" if direction else None,
-            )
-            later = [(p.displacement, p.later) for p in points if p.later is not None]
-            if later:
-                ax.plot(
-                    *zip(*later, strict=True),
-                    "s--",
-                    color=SECOND,
-                    mfc="none",
-                    label="last cycles" if direction else None,
-                )
+            named = lambda text, of=direction: text if of else None  # once in the legend
+            ax.plot([0.0, *at], [0.0, *(p.force for p in points)], "o-", color=MODEL, label=named("first cycles"))
+            if later := [(p.displacement, p.later) for p in points if p.later is not None]:
+                ax.plot(*zip(*later, strict=True), "s--", color=SECOND, mfc="none", label=named("last cycles"))
             if (failed := self.failure[direction]) is not None:
-                ax.axvline(failed, color="0.5", ls=":", label=FAILURE if direction else None)
+                ax.axvline(failed, color="0.5", ls=":", label=named(FAILURE))
         ax.set(xlabel=f"displacement [{self.units[0]}]", ylabel=f"force [{self.units[1]}]")
         ax.legend(frameon=False)
         return ax

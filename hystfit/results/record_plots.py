@@ -169,10 +169,7 @@ def draw_worst(traces: list[Trace], ax: Axes) -> None:
     ax.plot(trace.axis[at], trace.y[at], color=MEASURED, lw=2.6, label="measured")
     ax.plot(trace.axis[at], trace.predicted[at], color=MODEL, lw=0.9, label="model")
     ax.axvline(trace.axis[middle], color=SECOND, lw=0.8, ls="--", label="largest persistent error")
-    column_label(ax, "y", *trace.columns["y"])
-    ax.set_xlabel(_axis(traces))
-    ax.margins(x=0.01)
-    _legend_above(ax)
+    _over_time(traces, ax)
 
 
 def _legend_above(ax: Axes) -> None:
@@ -187,15 +184,20 @@ def draw_series(traces: list[Trace], ax: Axes) -> None:
     _line(ax, ((t.axis[at], t.outputs(t.seen)[at]) for t, at in chosen), "measured", MEASURED, 2.6)
     _line(ax, ((t.axis[at], t.outputs(t.held)[at]) for t, at in chosen), "measured, not fitted", HELD_OUT, 2.6)
     _line(ax, ((t.axis[at], t.model[at]) for t, at in chosen), "model", MODEL, 0.9)
-    column_label(ax, "y", *traces[0].columns["y"])
-    ax.set_xlabel(_axis(traces))
-    ax.margins(x=0.01)
-    _legend_above(ax)
+    _over_time(traces, ax)
 
 
 def _axis(traces: list[Trace]) -> str:
     several = ", records one after another" if len(traces) > 1 else ""
     return traces[0].axis_label + several
+
+
+def _over_time(traces: list[Trace], ax: Axes) -> None:
+    """Labels and legend of outputs over time."""
+    column_label(ax, "y", *traces[0].columns["y"])
+    ax.set_xlabel(_axis(traces))
+    ax.margins(x=0.01)
+    _legend_above(ax)
 
 
 def draw_residuals(traces: list[Trace], ax: Axes) -> None:

@@ -50,10 +50,8 @@ class Picture:
 
     def html(self) -> str:
         """As vector graphics within the page."""
-        source, panels = (
-            base64.b64encode(self.svg).decode("ascii"),
-            html.escape(json.dumps(_panels(self.figure)), quote=True),
-        )
+        source = base64.b64encode(self.svg).decode("ascii")
+        panels = html.escape(json.dumps(_panels(self.figure)), quote=True)
         words, mark = html.escape(self.caption, quote=True), ' class="wide"' if self.wide else ""
         return (
             f'<figure{mark}><img alt="{words}" tabindex="0" data-panels="{panels}" src="data:image/svg+xml;base64,{source}">'

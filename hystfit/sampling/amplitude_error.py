@@ -23,12 +23,7 @@ from hystfit.quality.loops import APART, clear_reversals, distinct, extents
 from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.posterior import Posterior
 from hystfit.sampling.truncated_normal import draw_truncated
-from hystfit.sampling.weight_equations import (
-    WeightEquations,
-    parameters_of,
-    weight_equations,
-    weight_priors,
-)
+from hystfit.sampling.weight_equations import WeightEquations, parameters_of, weight_equations, weight_priors
 
 _STROKES = 2  # of each amplitude, on average, where amplitudes were chosen: a closed loop has so many
 # Exponent of the fractional Brownian motion; 0.5 is a Wiener process. The errors of 38 loops left out, 28 of simulated devices of four

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -15,6 +16,7 @@ from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.priors import AbstractPrior
 from hystfit.outcome import Note
 from hystfit.results.result import FitResult
+from hystfit.sampling.diagnostics import Convergence
 from hystfit.sampling.setup import Prepared, prepare
 
 Progress = Callable[[str, float], None]
@@ -78,3 +80,33 @@ class AbstractSampler(abc.ABC):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < lowest:
                 raise ParameterError(f"{name} must be a whole number of at least {lowest}, got {value!r}")
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractChains(AbstractSampler):
+    """A sampler whose chains are continued until they have converged.
+
+    Attributes:
+        chains, draws: number of chains, and least number of draws in each.
+        extend: chains that have not converged are continued to at most so many times `draws`.
+    """
+
+    chains: int = 4
+    draws: int = 500
+    extend: int = 16
+
+    def __post_init__(self) -> None:
+        self.check_counts({"chains": 1, "draws": 4, "extend": 1})
+
+    def until_converged(self, draw: Callable[[int], Any], judged: Callable[[Any], np.ndarray]) -> tuple[Any, bool]:
+        """What `draw` gives for a number of draws that suffices, and whether the chains have converged; None where it gives None.
+
+        `judged` are the numbers that have to converge, shape (chains, draws, d).
+        """
+        draws, most = self.draws, self.extend * self.draws
+        while (joined := draw(draws)) is not None:
+            convergence = Convergence.of(judged(joined))
+            if convergence.good or convergence.apart or draws >= most:
+                return joined, convergence.good
+            draws = min(math.ceil(convergence.more * draws), most)
+        return None, False

@@ -54,10 +54,5 @@ def sampled_density(posterior: Posterior, count: int = 200, seed: int = 0, *, ri
     draws = np.stack([one.density for one in diagrams])
     first = diagrams[0]
     return ForcDiagram(
-        first.reversal,
-        first.field,
-        draws.mean(axis=0),
-        first.area,
-        stderr=draws.std(axis=0, ddof=1),
-        repeats=draws,
+        first.reversal, first.field, draws.mean(axis=0), first.area, stderr=draws.std(axis=0, ddof=1), repeats=draws
     )

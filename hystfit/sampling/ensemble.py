@@ -19,7 +19,7 @@ from hystfit.params.host_arrays import to_device
 from hystfit.runs.chunks import keep, load
 from hystfit.sampling.base import AbstractSampler, Progress, Raw
 from hystfit.sampling.setup import Setup
-from hystfit.sampling.target import Target, log_densities
+from hystfit.sampling.target import Target, log_densities_and_z
 
 MOST = 10  # parameters of a model beyond which ensembles mix too slowly
 _LONG = 50.0  # chains are long enough when they hold this many autocorrelation times
@@ -70,7 +70,8 @@ class Ensemble(AbstractSampler):
                     keep(file, part)
             parts.append(part)
             chain = np.concatenate([chain, part["chain"]])
-            tau, settled = _check_convergence(chain, tau)
+            before, tau = tau, longest_time(chain, tau)
+            settled = len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau
             report(
                 f"{len(chain)} steps of {self.walkers} walkers, about {len(chain) * self.walkers / tau:.0f} effective draws so far",
                 len(chain) / self.draws,
@@ -106,17 +107,11 @@ def longest_time(chain: Float[np.ndarray, "steps walkers d"], before: float = np
     return time if np.isfinite(time) else np.inf
 
 
-def _check_convergence(chain: np.ndarray, before: float) -> tuple[float, bool]:
-    """The autocorrelation time now, and whether the chain is long enough for it."""
-    tau = longest_time(chain, before)
-    return tau, bool(len(chain) > _LONG * tau and abs(before - tau) < _STEADY * tau)
-
-
 def walk(target: Target, walkers: int) -> Any:
     """The emcee sampler over whitened coordinates: differential evolution, and now and then a jump from mode to mode."""
     import emcee
 
-    density = lambda q: np.asarray(log_densities(target, to_device(q)))
+    density = lambda q: np.asarray(log_densities_and_z(target, to_device(q))[0])
     moves = [(emcee.moves.DEMove(), 0.9), (emcee.moves.DEMove(gamma0=1.0), 0.1)]
     return emcee.EnsembleSampler(walkers, target.center.shape[0], density, vectorize=True, moves=moves)
 
@@ -127,9 +122,8 @@ def start(target: Target, walkers: int, seed: int, away: float = 1.0) -> Any:
 
     d, rng = target.center.shape[0], np.random.default_rng(seed)
     q = away * rng.normal(size=(walkers, d))
-    density = lambda q: np.concatenate(
-        [log_densities(target, to_device(half)) for half in np.split(q, 2)]
-    )  # as emcee calls it
+    # In halves, as emcee calls it.
+    density = lambda q: np.concatenate([log_densities_and_z(target, to_device(half))[0] for half in np.split(q, 2)])
     logs = density(q)
     for _ in range(60):
         bad = ~np.isfinite(logs)

@@ -249,7 +249,6 @@ def _draws(values: dict[str, np.ndarray], names: Sequence[str]) -> np.ndarray:
 
 
 def _pairs(stored: Stored) -> dict[str, list[float]]:
-    """Two numbers for each name."""
     pairs = {name: stored.listed(name) for name in stored.content}
     if any(len(pair) != 2 for pair in pairs.values()):
         raise ValueError("quartiles are two numbers")

@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import itertools
 import math
+import operator
 from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar
@@ -20,8 +21,7 @@ from jaxtyping import Float
 from hystfit.outcome import Code, Note
 from hystfit.runs.chunks import Chunks, stored
 from hystfit.runs.threads import Workers
-from hystfit.sampling.base import AbstractSampler, Progress, Raw
-from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.base import AbstractChains, Progress, Raw
 from hystfit.sampling.nuts import Nuts
 from hystfit.sampling.proposals import Batch, Mixture, adapted, efficiency, tail_shape
 from hystfit.sampling.setup import Setup, given_others
@@ -38,21 +38,10 @@ _TRIES = 2.0  # effective draws of the mixture for each draw of a chain
 
 
 @dataclasses.dataclass(frozen=True)
-class Independence(AbstractSampler):
-    """Settings of independence chains.
-
-    Attributes:
-        chains, draws: number of chains, and least number of draws in each.
-        extend: chains that have not converged are continued to at most so many times `draws`.
-    """
+class Independence(AbstractChains):
+    """Settings of independence chains, see `AbstractChains`."""
 
     name: ClassVar[str] = "independence"
-    chains: int = 4
-    draws: int = 500
-    extend: int = 16
-
-    def __post_init__(self) -> None:
-        self.check_counts({"chains": 1, "draws": 4, "extend": 1})
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw, chains in parallel on the processor's cores; by NUTS where no mixture covers the posterior."""
@@ -84,12 +73,13 @@ class Independence(AbstractSampler):
             chains = self._chains(target, mixture, places, (seed, attempt), folder)
             # A chunk of each chain shows most mixtures that cover too little.
             for draws in (min(_CHUNK, self.draws), self.draws):
-                drawn = self._joined(chains, draws, report)
+                self._joined(chains, draws, report)
                 offers = Batch.joined([chain.offers for chain in chains])
                 if not covers(offers):
                     break
             else:
-                return self._converged(chains, drawn, report)
+                joined = lambda draws, chains=chains: self._joined(chains, draws, report)
+                return self.until_converged(joined, operator.itemgetter("z"))[0]
             places = Batch.joined([places, offers.balanced])
             mixture = mixture.refitted(places)
         return None
@@ -105,17 +95,6 @@ class Independence(AbstractSampler):
             _Chain(target, mixture, tries, start, (*seed, k), Chunks(folder, f"{self.name}-{seed[1]}-{k}"))
             for k, start in enumerate(zip(places.z[at], scores, strict=True))
         ]
-
-    def _converged(self, chains: list[_Chain], drawn: dict[str, np.ndarray], report: Progress) -> dict[str, np.ndarray]:
-        """All chains, longer than before until they have converged."""
-        draws = self.draws
-        while draws < self.extend * self.draws:
-            convergence = Convergence.of(drawn["z"])
-            if convergence.good or convergence.apart:
-                break
-            draws = min(math.ceil(convergence.more * draws), self.extend * self.draws)
-            drawn = self._joined(chains, draws, report)
-        return drawn
 
     def _joined(self, chains: list[_Chain], draws: int, report: Progress) -> dict[str, np.ndarray]:
         workers, begun, total = Workers(), itertools.count(), len(chains) * -(-draws // _CHUNK)

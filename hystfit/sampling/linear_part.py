@@ -38,11 +38,7 @@ class LinearPart(eqx.Module):
 
     @classmethod
     def of(cls, problem: Problem, z: Float[np.ndarray, " d"], deviations: Float[np.ndarray, " p"]) -> LinearPart | None:
-        """Those of a problem; None where its noise is not Gaussian, or where no parameter enters linearly, far enough from its bounds.
-
-        Args:
-            deviations: standard deviations of the model's parameters about it [their units].
-        """
+        """Those off their bounds by these standard deviations; None where there are none, or the noise is not Gaussian."""
         space, p = problem.space, len(problem.space)
         if not problem.noise_space or not problem.noise.gaussian:  # type: ignore[union-attr]
             return None

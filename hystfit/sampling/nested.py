@@ -58,7 +58,6 @@ class Nested(AbstractSampler):
 
     def run(self, setup: Setup, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw, or continue from the chunks in a folder."""
-        _blackjax()  # a missing package is named before any other work
         if setup.dependence is not None:
             raise ParameterError("sampler='nested' takes independent priors: use sampler='nuts'")
         runs = [self._once(setup, seed, number, folder, report) for number in range(self.chains)]

@@ -37,13 +37,7 @@ class NoiseGrid(eqx.Module):
 
     @classmethod
     def about(cls, fit: SlowNoiseFit, contrasts: Contrasts, prior: AbstractPrior) -> NoiseGrid:
-        """Along the principal axes of the logarithms of both.
-
-        Args:
-            fit: the noise of the residuals.
-            contrasts: those that know it.
-            prior: of the correlation time.
-        """
+        """Along the principal axes of the logarithms of both; `contrasts` know the noise, `prior` is of the correlation time."""
         place = lambda noise: np.log([(noise.white / noise.slow) ** 2, noise.time])
         center, others = place(fit.noise), np.array([place(noise) for noise in fit.others])
         # Nodes of a 3 x 3 Gauss-Hermite rule: the neighbors of the middle one lie at sqrt(3) standard deviations.

@@ -23,9 +23,9 @@ from hystfit.params.host_arrays import compiled, to_device
 from hystfit.results.result import FitResult
 from hystfit.runs.chunks import Chunks, stored
 from hystfit.runs.threads import Workers, usable_cores
-from hystfit.sampling.base import AbstractSampler, Progress, Raw
+from hystfit.sampling.base import AbstractChains, Progress, Raw
 from hystfit.sampling.bend import Shear
-from hystfit.sampling.diagnostics import Convergence, effective_size
+from hystfit.sampling.diagnostics import effective_size
 from hystfit.sampling.setup import Setup, given_others, prepare
 from hystfit.sampling.target import Target
 
@@ -71,20 +71,12 @@ def advance_chunk(
 
 
 def advance(
-    target: Target,
-    q: Array,
-    tuning: Tuning,
-    key: Array,
-    adapting: Array,
-    goal: Array,
-    depth: int,
-    steps: int,
+    target: Target, q: Array, tuning: Tuning, key: Array, adapting: Array, goal: Array, depth: int, steps: int
 ) -> tuple[tuple[Array, ...], Tuning]:
-    """`steps` transitions, for use inside traced code; `adapting` is one flag or one per transition.
+    """`steps` transitions, for use inside traced code: positions, and whether they diverged, acceptances and gradients of each.
 
-    During adaptation the step size is the trial value of dual averaging, otherwise its average.
-
-    The step size is tuned for the acceptance `goal`; trajectories double at most `depth` times.
+    Where `adapting`, one flag or one per transition, the step size is the trial value of dual averaging for the acceptance `goal`,
+    otherwise its average; trajectories double at most `depth` times.
     """
     nuts = optional("blackjax", "bayes", "sampling by NUTS").nuts
     kernel, mass = nuts.build_kernel(), jnp.ones_like(q)
@@ -96,7 +88,7 @@ def advance(
         later = tuning.after(info.acceptance_rate, goal)
         tuning = jax.tree_util.tree_map(lambda a, b: jnp.where(adapts, a, b), later, tuning)
         out = (info.is_divergent, info.acceptance_rate, info.num_integration_steps)
-        return (state, tuning), (state.position, state.logdensity, *out)
+        return (state, tuning), (state.position, *out)
 
     ahead = (jax.random.split(key, steps), jnp.broadcast_to(adapting, (steps,)))
     (_, tuning), out = jax.lax.scan(once, (nuts.init(q, target), tuning), ahead)
@@ -112,12 +104,10 @@ _PRIOR_DRAWS = 10.0  # draws for which the curvature counts in the covariance of
 
 
 @dataclasses.dataclass(frozen=True)
-class Nuts(AbstractSampler):
-    """Settings of NUTS.
+class Nuts(AbstractChains):
+    """Settings of NUTS, beside those of `AbstractChains`.
 
     Attributes:
-        chains, draws: number of chains, and least number of draws in each.
-        extend: chains that have not converged are continued to at most so many times `draws`.
         warmup: steps of adaptation: of the step size, of the covariance, of the step size again.
         target_accept: acceptance for which the step size is tuned at first. 0.65 is best for Gaussian posteriors (Beskos et al. 2013),
             but transitions diverge in curved ones; 0.9 costs about as many gradients per effective draw. Where transitions still
@@ -126,16 +116,14 @@ class Nuts(AbstractSampler):
     """
 
     name: ClassVar[str] = "nuts"
-    chains: int = 4
-    draws: int = 500
-    extend: int = 16
     warmup: int = 300
     target_accept: float = 0.9
     max_depth: int = 8
 
     def __post_init__(self) -> None:
         optional("blackjax", "bayes", "sampling by NUTS")  # named before minutes of compilation where it is missing
-        self.check_counts({"chains": 1, "draws": 4, "extend": 1, "warmup": 50, "max_depth": 1})
+        super().__post_init__()
+        self.check_counts({"warmup": 50, "max_depth": 1})
         if not 0 < self.target_accept < 1:
             raise ParameterError(f"target_accept must lie between 0 and 1, got {self.target_accept!r}")
 
@@ -172,7 +160,8 @@ class Nuts(AbstractSampler):
         ]
         report("compilation and warm-up", 0.0)
         for last in [False] * _AGAIN + [True]:
-            joined = self._converged(chains, setup, report, to_the_end=last)
+            draw = lambda draws, chains=chains, last=last: self._draw(chains, draws, report, to_the_end=last)
+            joined, _ = self.until_converged(draw, lambda joined: setup.physical(joined["z"]))
             if joined is not None:
                 break
             chains = [chain.again() for chain in chains]
@@ -186,20 +175,6 @@ class Nuts(AbstractSampler):
             text = f"{which} for an acceptance of {goal:.3g}: parts of the posterior may be missing"
             notes = (warn(Code.DIVERGENCES, text),)
         return Raw(z, setup.log_density(z), joined, notes)
-
-    def _converged(
-        self, chains: list[_Chain], setup: Setup, report: Progress, *, to_the_end: bool
-    ) -> dict[str, np.ndarray] | None:
-        """All chains, joined, twice as long as before until they have converged; None where `_draw` gives None."""
-        draws = self.draws
-        while True:
-            joined = self._draw(chains, draws, report, to_the_end=to_the_end)
-            if joined is None or draws >= self.extend * self.draws:
-                return joined
-            convergence = Convergence.of(setup.physical(joined["z"]))
-            if convergence.good or convergence.apart:
-                return joined
-            draws = min(2 * draws, self.extend * self.draws)
 
     def _draw(
         self, chains: list[_Chain], draws: int, report: Progress, *, to_the_end: bool
@@ -244,11 +219,10 @@ class Nuts(AbstractSampler):
         return adaptation.whiten(target, current, positions)
 
     def chunk(self, target: Target, warm: dict[str, np.ndarray], q: Array, key: Array) -> dict[str, np.ndarray]:
-        """Draws from a position q on with an adapted chain: positions (50, d), log densities and statistics (50,)."""
+        """Draws from a position q on with an adapted chain: positions (50, d), and statistics (50,)."""
         fixed = (jnp.asarray(False), jnp.asarray(self.target_accept), self.max_depth)
         out, _ = advance_chunk(adapted(target, warm), q, Tuning.about(float(warm["size"])), key, *fixed)
-        rows = dict(zip(("q", "log_density", "diverging", "acceptance", "steps"), out, strict=True))
-        return {name: np.asarray(values) for name, values in rows.items() if name != "log_density"}
+        return dict(zip(("q", "diverging", "acceptance", "steps"), map(np.asarray, out), strict=True))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -306,7 +280,7 @@ class _Adaptation:
             key, fixed = jax.random.fold_in(self.key, self.count), (jnp.asarray(self.goal), self.nuts.max_depth)
             out, later = advance_chunk(target, q, tuning, key, jnp.asarray(True), *fixed)
             tuning = Tuning(*later)
-            q, diverging, self.count = out[0][-1], np.asarray(out[2]), self.count + 1
+            q, diverging, self.count = out[0][-1], np.asarray(out[1]), self.count + 1
             positions.append(np.asarray(out[0]))
         return q, float(jnp.exp(tuning.average)), np.concatenate(positions), bool(diverging.any())
 
@@ -339,7 +313,7 @@ def _spread(positions: np.ndarray) -> np.ndarray:
 
 def _least(draws: np.ndarray) -> float:
     """Effective draws of the worst coordinate of one chain, shape (n, d)."""
-    sizes = [effective_size(column[None]) for column in draws.T]
+    sizes = effective_size(draws.T[:, None])
     return float(np.nanmin(sizes)) if np.isfinite(sizes).any() else 0.0
 
 

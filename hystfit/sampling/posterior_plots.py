@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -93,48 +94,38 @@ def _of_corner(posterior: Posterior, flat: np.ndarray) -> list[int]:
     return sorted(moving[: min(_LEGIBLE, len(flat) - 1)])
 
 
-def _panels(posterior: Posterior) -> tuple[Any, Any, list[int]]:
-    """A figure, its panels and the parameters that they show: those of the corner plot where all would be hundreds."""
+def _by_chain(posterior: Posterior, draw: Callable[[Any, np.ndarray], None], title: str, axis: str) -> Any:
+    """A panel for each parameter, those of the corner plot where all would be hundreds; `draw` is given axes, and draws by chain."""
     import matplotlib.pyplot as plt
 
-    every = list(range(len(posterior.names)))
+    every, count = list(range(len(posterior.names))), len(posterior.draws)
     shown = every if len(every) <= _MOST else _of_corner(posterior, posterior.draws.reshape(-1, len(every)))
     size = (5.6, 0.9 + len(shown))
-    return *plt.subplots(len(shown), 1, figsize=size, layout="constrained", squeeze=False, sharex=True), shown
+    figure, axes = plt.subplots(len(shown), 1, figsize=size, layout="constrained", squeeze=False, sharex=True)
+    for ax, k, label in zip(axes[:, 0], shown, np.array(_labels(posterior))[shown], strict=True):
+        draw(ax, posterior.draws[:, :, k])
+        ax.set_ylabel(label, fontsize=8)
+    chains = f"{count} {'walkers' if posterior.sampler == 'emcee' else 'chains'}"
+    axes[0, 0].set_title(title.format(chains if count <= _SHOWN else f"the first {_SHOWN} of {chains}"), fontsize=9)
+    axes[-1, 0].set_xlabel(axis)
+    return figure
 
 
 def _trace(posterior: Posterior) -> Any:
-    figure, axes, shown = _panels(posterior)
-    labels = _labels(posterior)
-    for ax, k in zip(axes[:, 0], shown, strict=True):
-        for chain, color in zip(posterior.draws[:_SHOWN, :, k], itertools.cycle(_CHAINS)):
+    def draw(ax: Any, draws: np.ndarray) -> None:
+        for chain, color in zip(draws[:_SHOWN], itertools.cycle(_CHAINS)):
             ax.plot(chain, lw=0.4, color=color)
-        ax.set_ylabel(labels[k], fontsize=8)
-    axes[0, 0].set_title(_shown(posterior), fontsize=9)
-    axes[-1, 0].set_xlabel("draw")
-    return figure
+
+    return _by_chain(posterior, draw, "{}", "draw")
 
 
 def _rank(posterior: Posterior) -> Any:
-    figure, axes, shown = _panels(posterior)
-    labels = _labels(posterior)
-    for ax, k in zip(axes[:, 0], shown, strict=True):
-        draws = posterior.draws[:, :, k]
-        ranks = rankdata(draws).reshape(draws.shape)
-        for chain, color in zip(ranks[:_SHOWN], itertools.cycle(_CHAINS)):
+    def draw(ax: Any, draws: np.ndarray) -> None:
+        for chain, color in zip(rankdata(draws).reshape(draws.shape)[:_SHOWN], itertools.cycle(_CHAINS)):
             ax.hist(chain, bins=_BINS, range=(0, draws.size), histtype="step", color=color)
         ax.axhline(draws.shape[1] / _BINS, color="#a6a6a6", lw=0.8)
-        ax.set_ylabel(labels[k], fontsize=8)
-    axes[0, 0].set_title(f"draws by rank, {_shown(posterior)}; line: expected for converged chains", fontsize=9)
-    axes[-1, 0].set_xlabel("rank over all chains")
-    return figure
 
-
-def _shown(posterior: Posterior) -> str:
-    """The chains in a picture, as text."""
-    count = len(posterior.draws)
-    what = "walkers" if posterior.sampler == "emcee" else "chains"
-    return f"{count} {what}" if count <= _SHOWN else f"the first {_SHOWN} of {count} {what}"
+    return _by_chain(posterior, draw, "draws by rank, {}; line: expected for converged chains", "rank over all chains")
 
 
 def _bands(posterior: Posterior, level: float = 0.9, count: int = 200) -> Any:

@@ -37,7 +37,8 @@ from hystfit.sampling.posterior import Posterior
 
 
 @eqx.filter_jit
-def _simulate_all(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbers: Array) -> Array:
+def simulate_rows(coordinates: Coordinates, x: Array, u: Array, dt: Array, numbers: Array) -> Array:
+    """Outputs (n, T) at physical x, (n, p), over one input, each with the parameters that a record of these numbers has for itself."""
     return jax.lax.map(lambda row: run(coordinates.assemble(*row), u, dt)[0], (x, numbers))
 
 
@@ -55,7 +56,7 @@ def simulate_draws(result: FitResult, record: Record, x: np.ndarray, seed: int) 
     coordinates = result.problem.space.coordinates
     if not (known or result.problem.settled):
         coordinates = coordinates.at(result.model.of_record(record))
-    return np.asarray(_simulate_all(coordinates, *arrays, jnp.asarray(numbers)))
+    return np.asarray(simulate_rows(coordinates, *arrays, jnp.asarray(numbers)))
 
 
 def _by_columns(result: FitResult, record: Record, x: np.ndarray, numbers: np.ndarray) -> Float[np.ndarray, "count T"]:

@@ -178,7 +178,6 @@ def _pooled(draws: np.ndarray) -> np.ndarray:
 
 
 def _log_prior(setup: Prepared, draws: Float[np.ndarray, "chains draws d"]) -> Float[np.ndarray, "chains draws"]:
-    """Log prior density over physical parameters."""
     at = [setup.names.index(name) for name in setup.priors]
     rows = jnp.asarray(draws[:, :, at].reshape(-1, len(at)))
     return np.asarray(_log_densities(tuple(setup.priors.values()), setup.dependence, rows)).reshape(draws.shape[:2])

@@ -37,9 +37,7 @@ from hystfit.sampling.predictive import density_of_draws, predictive_draws, resi
 _COUNT = 1000  # draws used
 _LARGE = 0.3  # shift in posterior standard deviations from which it is named
 _UNRELIABLE = 0.7  # Pareto shape beyond which importance sampling does not converge (Vehtari et al. 2024)
-_RARE = (
-    0.025  # fraction of replicated data beyond the measured value below which the model does not reproduce this value
-)
+_RARE = 0.025  # share of replicated data beyond the measured value below which the model does not reproduce it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -215,7 +213,6 @@ def _checks(posterior: Posterior) -> dict[str, Check]:
 
 
 def _notes(found: Sensitivity, posterior: Posterior, *, independent: bool) -> tuple[Note, ...]:
-    """What stands out."""
     notes = []
     joined = lambda names: ", ".join(map(_label, names))
     # The noise follows the misfit, which data that count twice always lower.

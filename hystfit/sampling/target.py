@@ -162,14 +162,8 @@ def _unwhitened(target: Target, q: Array) -> Array:
 
 
 @compiled
-def log_densities(target: Target, q: Array) -> Array:
-    """Log posterior at q of shape (n, d), for as many at once as the cache has room for."""
-    return _at_once(lambda row: target.log_density(target.v_of(row), lean=True), target.density, q)
-
-
-@compiled
 def log_densities_and_z(target: Target, q: Array) -> tuple[Array, Array]:
-    """`log_densities`, and z of the same shape as q."""
+    """Log posterior at q of shape (n, d), for as many at once as the cache has room for; and z of the same shape as q."""
     return _at_once(lambda row: target.log_density_and_z(target.v_of(row), lean=True), target.density, q)
 
 

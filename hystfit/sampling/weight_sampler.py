@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -36,18 +35,11 @@ from hystfit.params.host_arrays import compiled, to_device
 from hystfit.results.result import FitResult
 from hystfit.runs.chunks import Chunks
 from hystfit.runs.threads import Workers
-from hystfit.sampling.base import AbstractSampler, Progress, Raw
-from hystfit.sampling.diagnostics import Convergence
+from hystfit.sampling.base import AbstractChains, Progress, Raw
 from hystfit.sampling.noise_grid import NoiseGrid
 from hystfit.sampling.setup import Prepared
 from hystfit.sampling.truncated_normal import draw_opposite, opposite
-from hystfit.sampling.weight_equations import (
-    Exact,
-    WeightEquations,
-    parameters_of,
-    weight_equations,
-    weight_priors,
-)
+from hystfit.sampling.weight_equations import Exact, WeightEquations, parameters_of, weight_equations, weight_priors
 
 _CHUNK = 25  # sweeps in one compiled call, and between two writes to disk
 _POINTS = 12  # among which the weights move: 1200 sweeps of 464 weights give 400 effective draws of the strength, 200 with one point
@@ -59,23 +51,17 @@ _LEAST = 1e-16  # variance of noise, over the squared range of the output, below
 
 
 @dataclasses.dataclass(frozen=True)
-class Weights(AbstractSampler):
-    """Settings of the sampler of weights.
-
-    Attributes:
-        chains, draws: number of chains, and least number of draws in each.
-        extend: chains that have not converged are continued to at most so many times `draws`.
-        warmup: sweeps before them.
-    """
+class Weights(AbstractChains):
+    """Settings of the sampler of weights, beside those of `AbstractChains`: `warmup` are sweeps before the draws."""
 
     name: ClassVar[str] = "weights"
-    chains: int = 4
     draws: int = 400
     extend: int = 8
     warmup: int = 50
 
     def __post_init__(self) -> None:
-        self.check_counts({"chains": 1, "draws": 4, "extend": 1, "warmup": 1})
+        super().__post_init__()
+        self.check_counts({"warmup": 1})
 
     def prepare(
         self, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
@@ -85,23 +71,25 @@ class Weights(AbstractSampler):
 
     def run(self, setup: WeightSetup, seed: int, folder: Path | None, report: Progress) -> Raw:
         """Draw, chains in parallel on the processor's cores, or continue from the chunks in a folder."""
-        key, draws = jax.random.key(seed), self.draws
+        key = jax.random.key(seed)
         report("compilation and warm-up", 0.0)
         equations = _centered(setup, jax.random.fold_in(key, self.chains), folder)
         chains = [
             _Chain(equations, jax.random.fold_in(key, k), Chunks(folder, f"weights-{k}")) for k in range(self.chains)
         ]
-        while True:
+
+        def draw(draws: int) -> dict[str, np.ndarray]:
             parts = self._draw(chains, draws, report)
-            joined = {name: np.stack([part[name] for part in parts]) for name in parts[0]}
-            z = setup.parameters(joined)
-            convergence = Convergence.of(np.concatenate([z, *_strength(setup, joined)], axis=-1))
-            if convergence.good or convergence.apart or draws >= self.extend * self.draws:
-                break
-            draws = min(math.ceil(convergence.more * draws), self.extend * self.draws)
+            return {name: np.stack([part[name] for part in parts]) for name in parts[0]}
+
+        def judged(joined: dict[str, np.ndarray]) -> np.ndarray:
+            strength = [np.log(joined["strength"])[..., None]] if float(setup.equations.penalized) else []
+            return np.concatenate([setup.parameters(joined), *strength], axis=-1)
+
+        joined, good = self.until_converged(draw, judged)
         smoothness = joined["strength"] / float(setup.equations.count)
         stats = {"smoothness": smoothness, "log_penalty": joined["log_penalty"], "acceptance": joined["accepted"]}
-        return Raw(z, joined["log_density"], stats, complete=convergence.good)
+        return Raw(setup.parameters(joined), joined["log_density"], stats, complete=good)
 
     def _draw(self, chains: list[_Chain], draws: int, report: Progress) -> list[dict[str, np.ndarray]]:
         """The draws of every chain after the warm-up."""
@@ -137,11 +125,6 @@ def _centered(setup: WeightSetup, key: Array, folder: Path | None) -> WeightEqua
     less = np.where(space.linear, 0.0, (1 - 1 / _WIDER) / (w.var(axis=0) * np.sum(~space.linear)))
     precision, pull = equations.precision - less, equations.pull - less * w.mean(axis=0)
     return dataclasses.replace(equations, precision=precision, pull=pull, exact=setup.equations.exact)
-
-
-def _strength(setup: WeightSetup, draws: dict[str, np.ndarray]) -> list[np.ndarray]:
-    """The logarithm of the penalty's strength where there is a penalty, shape (chains, draws, 1)."""
-    return [np.log(draws["strength"])[..., None]] if float(setup.equations.penalized) else []
 
 
 @dataclasses.dataclass(frozen=True)
@@ -263,7 +246,6 @@ class WeightSetup(Prepared):
     def of(
         cls, result: FitResult, noise: str | type[AbstractNoise], priors: Mapping[str, AbstractPrior] | None
     ) -> WeightSetup:
-        """Prepare the weights of a fit."""
         if not result.problem.space.weights.any():
             raise ParameterError("sampler='weights' needs weights in which the output is linear: use sampler='nuts'")
         if isinstance(priors, CorrelatedPriors):

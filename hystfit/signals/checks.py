@@ -12,48 +12,27 @@ _MOST = 10**8  # samples; a larger number is probably a typing error in the rate
 
 
 def positive(**values: Real) -> None:
-    """Check for finite numbers above zero.
-
-    Raises:
-        DataError: one is not; the message has its name.
-    """
+    """Refuse, by their names, numbers that are not finite and above zero."""
     for name, value in values.items():
         if not np.isfinite(value) or value <= 0:
             raise DataError(f"{name} must be a positive number, got {value}")
 
 
 def limits(low: Real, high: Real) -> None:
-    """Check that limits are finite and in order.
-
-    Raises:
-        DataError: low is not below high, or one is not finite.
-    """
+    """Refuse limits that are not finite or not in order."""
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise DataError(f"low must be less than high, got low {low} and high {high}")
 
 
 def whole_number(name: str, value: Real, least: int) -> int:
-    """Check for a whole number and return it as int.
-
-    Args:
-        name: of the argument, for the message.
-        value: to be checked.
-        least: smallest allowed value.
-
-    Raises:
-        DataError: it is none, or too small.
-    """
+    """A whole number of at least `least` as int; others are refused by the name of the argument."""
     if not np.isfinite(value) or int(value) != value or value < least:
         raise DataError(f"{name} must be a whole number of at least {least}, got {value}")
     return int(value)
 
 
 def time_axis(duration: Real, rate: Real, *frequencies: Real) -> np.ndarray:
-    """Times from 0 at `rate` samples/s, the end left out, shape (T,), for a signal of these frequencies [Hz].
-
-    Raises:
-        DataError: a number is not positive, fewer than two samples fit, more than 1e8, or a frequency is above half the rate.
-    """
+    """Times from 0 at `rate` samples/s, the end left out, shape (T,), for a signal of these frequencies [Hz]; refuses what cannot be."""
     positive(duration=duration, rate=rate)
     if duration * rate > _MOST:
         raise DataError(f"{duration} s at {rate} samples/s makes {duration * rate:.3g} samples: at most {_MOST:.0e}")
@@ -68,10 +47,6 @@ def time_axis(duration: Real, rate: Real, *frequencies: Real) -> np.ndarray:
 
 
 def between(low: Real, high: Real, wave: np.ndarray) -> np.ndarray:
-    """A wave in [-1, 1], shape (T,), on the range from low to high.
-
-    Raises:
-        DataError: low is not below high, or one is not finite.
-    """
+    """A wave in [-1, 1], shape (T,), on the range from low to high, which `limits` checks."""
     limits(low, high)
     return 0.5 * (low + high) + 0.5 * (high - low) * wave

@@ -145,16 +145,7 @@ class Actuator:
         check_one_device(self.model)
 
     def population(self, count: int, *, spread: Mapping[str, float], seed: int) -> Population[Actuator]:
-        """Actuators whose parameters scatter about those of this one; see `hystfit.stage.population`.
-
-        Args:
-            count: number of actuators.
-            spread: relative standard deviation by parameter name.
-            seed: of the scatter.
-
-        Raises:
-            ParameterError: see `hystfit.stage.population`.
-        """
+        """Actuators whose parameters scatter about those of this one; arguments and errors are those of `hystfit.stage.population`."""
         models, truth, units = single_models(self.model, count, spread=spread, seed=seed)
         return Population(tuple(dataclasses.replace(self, model=model) for model in models), truth, units)
 

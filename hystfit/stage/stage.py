@@ -128,16 +128,7 @@ class Stage(eqx.Module):
         return cls(_stack(devices), kinematics, _stack(second), *limits)
 
     def population(self, count: int, *, spread: Mapping[str, float], seed: int) -> Population[Stage]:
-        """Stages whose actuators scatter about those of this one, each on its own; see `hystfit.stage.population`.
-
-        Args:
-            count: number of stages.
-            spread: relative standard deviation by parameter name of an actuator.
-            seed: of the scatter.
-
-        Raises:
-            ParameterError: see `hystfit.stage.population`.
-        """
+        """Stages whose actuators scatter about those of this one, each on its own; arguments are those of `hystfit.stage.population`."""
         places = [jax.tree.map(lambda leaf, k=k: leaf[k], self.actuators) for k in range(3)]
         seeds = zip(places, seeds_of(seed, 3), strict=True)
         scattered = [single_models(model, count, spread=spread, seed=own) for model, own in seeds]
@@ -235,26 +226,13 @@ class Stage(eqx.Module):
         return StageMeasurement(t, reached, channels["gauge"].read(lengths, rng), probes, notes)
 
     def records(self, t: Any, u: Any, *, seed: int) -> dict[str, Record]:
-        """Measured poses: one record an axis, over the voltage of the actuator that moves it most.
-
-        Args:
-            t: times [s], shape (T,).
-            u: commanded voltages [V], shape (T, 3).
-            seed: of the sensor noise.
-        """
+        """Measured poses: one record an axis, over the voltage of the actuator that moves it most; arguments are those of `measure`."""
         measured = self.measure(t, u, seed=seed)
         strongest = np.argmax(np.abs(np.asarray(self.kinematics.jacobian())), axis=1)
         return {axis: measured.record(axis, int(strongest[k])) for k, axis in enumerate(AXES)}
 
     def record(self, t: Any, u: Any, *, seed: int, axis: str = "x", name: str = "stage") -> Record:
-        """Measured pose of one axis, over the voltage of the actuator that moves it most.
-
-        Args:
-            t: times [s], shape (T,).
-            u: commanded voltages [V], shape (T, 3).
-            seed: of the sensor noise.
-            axis: x, y or theta.
-            name: of the record.
+        """One of `records`, by its axis x, y or theta, under another name.
 
         Raises:
             ParameterError: no such axis.
@@ -276,13 +254,7 @@ _lengths = eqx.filter_jit(
 
 
 def upsample(u: np.ndarray, dt: np.ndarray, factor: int) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs and time steps on a finer grid, the input linear between samples; row k becomes row factor * k.
-
-    Args:
-        u: inputs, shape (T, ...).
-        dt: time steps, shape (T,).
-        factor: steps on the finer grid for each of `dt`.
-    """
+    """Inputs (T, ...) and time steps (T,) on a grid finer by a factor, the input linear between samples; row k becomes row factor * k."""
     count = len(u)
     at = np.arange(factor * (count - 1) + 1) / factor
     low = np.minimum(at.astype(int), count - 2)

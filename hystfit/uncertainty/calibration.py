@@ -132,7 +132,6 @@ class Calibration(WithStatus):
     __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`."""
         rows = {row.pop("name"): row for row in self.table().to_list()}
         fields = {k: getattr(self, k) for k in ("model", "truth", "assumed", "method", "of")}
         return {

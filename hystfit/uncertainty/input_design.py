@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar, Literal
 
 import equinox as eqx
@@ -128,7 +128,6 @@ class Design(WithStatus):
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`."""
         rows = [{"name": c.name, "score": c.score, "stderr": c.stderr} for c in self.candidates]
         return {
             "schema": "hystfit.design/1",
@@ -183,10 +182,7 @@ def design(
     unknown = [name for name in chosen if name not in names]
     if unknown:
         raise ParameterError(f"no free parameter {unknown}; those are: {', '.join(names)}")
-    low = min(float(r.u.min()) for r in result.data) if low is None else low
-    high = max(float(r.u.max()) for r in result.data) if high is None else high
-    if not low < high or samples < 100:
-        raise ParameterError(f"design needs low < high and at least 100 samples, got {low}, {high} and {samples}")
+    low, high = input_limits(result.data, low, high, samples)
     plan = Plan.of(result)
     now = plan.present(problem, x)
     counted = jnp.asarray([name in chosen for name in names])
@@ -194,20 +190,28 @@ def design(
     if method == "gradient":
         inputs["optimized turning points"] = _optimize(plan, now, counted, low, high, samples, steps, seed)
     covariances = {name: covariance_with(plan, now, jnp.asarray(u)) for name, u in inputs.items()}
-    candidates = [
-        Candidate(
-            name, np.asarray(u), _errors(plan, names, covariances[name]), float(_score(covariances[name], counted))
-        )
-        for name, u in inputs.items()
-    ]
+    made = lambda name, C: Candidate(name, np.asarray(inputs[name]), _errors(plan, names, C), float(_score(C, counted)))
+    candidates = [made(name, covariance) for name, covariance in covariances.items()]
     candidates.sort(key=lambda one: one.score)
     before = np.asarray(plan.covariance(now))
     errors_before = _errors(plan, names, before)
     present = {name: None if result[name].stderr is None else error for name, error in errors_before.items()}
     closes = _closed(before, np.asarray(covariances[candidates[0].name]), list(names))
     notes = _notes(result, candidates[0].name, closes, present)
-    dt = None if all(record.t is None for record in result.data) else result.data.sampling_interval
+    dt = result.data.sampling_interval
     return Design(result, tuple(candidates), present, chosen, tuple(closes), dt, notes)
+
+
+def input_limits(data: Iterable[Record], low: float | None, high: float | None, samples: int) -> tuple[float, float]:
+    """Limits of a proposed input of so many samples: those given, else the range of the inputs of the records."""
+    inputs = [record.u for record in data]
+    low = min(float(u.min()) for u in inputs) if low is None else low
+    high = max(float(u.max()) for u in inputs) if high is None else high
+    if not low < high or samples < 100:
+        raise ParameterError(
+            f"a proposed input needs low < high and at least 100 samples, got {low}, {high} and {samples}"
+        )
+    return low, high
 
 
 def _errors(plan: Plan, names: Sequence[str], covariance: Array | np.ndarray) -> dict[str, float | None]:
@@ -235,11 +239,8 @@ def _notes(
     for note in coverage_notes(result.data):
         text = f"{note.text}. The design assumes that the model is correct and does not propose inputs that test it"
         notes.append(dataclasses.replace(note, text=text))
-    source, reason = (
-        "the present data alone",
-        "the design combines the data with a wide prior and no other regularization",
-    )
-    return (*notes, *differences(result.parameters, present, source, reason))
+    reason = "the design combines the data with a wide prior and no other regularization"
+    return (*notes, *differences(result.parameters, present, "the present data alone", reason))
 
 
 def _score(covariance: Array, counted: Array) -> Array:
@@ -260,9 +261,7 @@ def input_families(low: float, high: float, samples: int, seed: int) -> dict[str
         "two amplitudes": middle + half * np.where(phase < 0.5, 0.4, 1.0) * wave(8),
         "decaying sine": middle + half * (1 - phase) * wave(10),
         "growing sine": middle + half * phase * wave(10),
-        "random reversals": _through(
-            jnp.asarray(rng.uniform(low, high, _TURNS)), samples, 0.5 * (low + high)
-        ).__array__(),
+        "random reversals": np.asarray(_through(jnp.asarray(rng.uniform(low, high, _TURNS)), samples, middle)),
     }
 
 

@@ -8,12 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from hystfit.inference.information import (
-    AbstractInformation,
-    LeastSquaresInformation,
-    LikelihoodInformation,
-    Moments,
-)
+from hystfit.inference.information import AbstractInformation, LeastSquaresInformation, LikelihoodInformation, Moments
 from hystfit.inference.noise.base import AbstractNoise
 from hystfit.inference.noise.registry import NOISES
 from hystfit.inference.noise.setting import Setting

@@ -123,7 +123,6 @@ class Profiles(WithStatus):
     __repr__ = __str__
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `result.json`."""
         rows = {}
         for name, p in self.profiles.items():
             rows[name] = {k: getattr(p, k) for k in ("value", "unit", "lower", "upper", "open_lower", "open_upper")}

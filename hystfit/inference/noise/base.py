@@ -177,14 +177,7 @@ class AbstractNoise(eqx.Module):
     def with_innovations_of(
         self, e: Float[Array, "R T"], seen: Setting, new: Setting, key: Array
     ) -> Float[Array, "Q T2"]:
-        """Noise, less its shapes, whose innovations have the distribution of those of the fitted records.
-
-        Args:
-            e: innovations over the fitted records.
-            seen: the fitted records.
-            new: the records to predict.
-            key: of the random numbers.
-        """
+        """Noise over `new` records, less its shapes, whose innovations have the distribution of those, e, over the `seen` ones."""
         values = resample(e.reshape(-1), (seen.weight > 0).reshape(-1), new.weight.shape, key)
         return drive(self.step, self.init(), new, values)
 

@@ -318,9 +318,8 @@ def least_squares_root(
 ) -> Float[np.ndarray, "k p"]:
     """R with (R'R)^-1 the covariance of a least-squares estimate under this noise, J^+ Sigma J^+'; k is the smaller of n and p.
 
-    From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R.
-
-    With `overwrite`, J may be destroyed to save its size in memory.
+    From J = Q T: R = L^-1 T with L L' = Q' Sigma Q, so that directions that J does not determine stay undetermined in R. With `overwrite`,
+    J may be destroyed to save its size in memory.
     """
     Q, T = qr(jacobian, overwrite=overwrite)
     size = np.linalg.norm(T, axis=0)

@@ -25,7 +25,6 @@ class White(AbstractNoise):
     )
 
     def init(self) -> State:
-        """No state."""
         return jnp.zeros((0,))
 
     @classmethod
@@ -38,14 +37,12 @@ class White(AbstractNoise):
         return cls(noise_white=size)
 
     def step(self, state: State, r: Scalar, gap: Scalar, weight: Scalar) -> tuple[State, Scalar, Scalar]:
-        """The residual itself."""
         safe = jnp.where(weight > 0, weight, 1.0)
         return state, r * jnp.sqrt(safe) / self.noise_white, 2 * jnp.log(self.noise_white) - jnp.log(safe)
 
     def whiten(
         self, setting: Setting, rows: Float[Array, "R T k"]
     ) -> tuple[Float[Array, "R T k"], Float[Array, "R T"]]:
-        """Divide by the standard deviation."""
         on = setting.weight > 0
         safe = jnp.where(on, setting.weight, 1.0)
         e = rows * (jnp.where(on, jnp.sqrt(safe), 0.0) / self.noise_white)[..., None]

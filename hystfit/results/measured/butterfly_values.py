@@ -20,16 +20,11 @@ def butterfly_values(branches: list[Branch], sigma: float, record: Record) -> It
     yield LoopValue("stroke", "range of the output", size, range_error(y, sigma), record.y_unit)
     for rises, side in ((True, "rising"), (False, "falling")):
         for sign, word in ((1.0, "smallest"), (-1.0, "largest")):
-            inner = [
-                b
-                for b in branches
-                if b.rises == rises and (sign * b.y[[0, -1]]).min() >= (sign * b.y).min() + _EVEN * size
-            ]
-            at = [int(np.argmin(sign * b.y)) for b in inner]
-            found = [
-                (float(b.u[k]), abs(float(b.u[k + 1] - b.u[k - 1])) / np.sqrt(12))
-                for b, k in zip(inner, at, strict=True)
-            ]
+            found = []
+            for b in (b for b in branches if b.rises == rises):
+                k = int(np.argmin(sign * b.y))
+                if (sign * (b.y[[0, -1]] - b.y[k])).min() >= _EVEN * size:
+                    found.append((float(b.u[k]), abs(float(b.u[k + 1] - b.u[k - 1])) / np.sqrt(12)))
             if found:
                 value, error, count = combined(found)
                 label = f"input at the {word} output, {side} branch"

@@ -232,12 +232,9 @@ def crosses(pairs: Sequence[Pair], sigma: float) -> bool:
 
 
 def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_values: float = np.nan) -> Found:
-    """Value where a level passes zero, and its standard error; without where it ends on the side where it began, as an even output does.
+    """Value where a level passes zero along a branch, and its standard error; without where it ends on the side where it began.
 
-    Args:
-        level: along a branch, shape (n,).
-        values: at the same samples, shape (n,).
-        sigma: noise of the level; of_values: noise of the values. Where neither is known, the error is that between the samples.
+    `sigma` is the noise of the level, `of_values` that of the values; where neither is known, the error is that between the samples.
     """
     passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
     if passed.size % 2 == 0:
@@ -299,6 +296,13 @@ def combined(found: list[Found]) -> tuple[float, float, int]:
     stated = np.sqrt(np.mean(errors**2) / values.size)
     scatter = np.std(values, ddof=1) / np.sqrt(values.size) if values.size > 1 else np.nan
     return float(np.median(values)), float(np.fmax(stated, scatter)), values.size
+
+
+def center_at(level: float, branches: Sequence[Branch], sigma: float) -> Found:
+    """Half sum of the inputs at which the rising and the falling branches pass a level, and its error."""
+    sides = ([crossing(b.y - level, b.u, sigma) for b in branches if b.rises == rises] for rises in (True, False))
+    (one, of_one, _), (other, of_other, _) = map(combined, sides)
+    return 0.5 * (one + other), 0.5 * float(np.hypot(of_one, of_other))
 
 
 def range_error(y: np.ndarray, sigma: float) -> float:

@@ -80,9 +80,6 @@ def centered(record: Record, kind: LoopKind) -> tuple[Record, tuple[Note, ...]]:
         return record, ()
     crosses = record.y[record.used].min() < 0 < record.y[record.used].max()
     what = "is relative to the start of the record" if crosses else "has an offset"
-    text = (
-        f"the output {what}: coercivity and remanence are those about the middle of its range "
-        f"({middle:.5g} {record.y_unit}".rstrip()
-        + ")"
-    )
+    at = f"{middle:.5g} {record.y_unit}".rstrip()
+    text = f"the output {what}: coercivity and remanence are those about the middle of its range ({at})"
     return record.replace(y=record.y - middle), (Note(Code.PREPARED, text),)

@@ -12,8 +12,9 @@ import numpy as np
 from hystfit.data.circulation import FEWEST
 from hystfit.data.dataset import Dataset
 from hystfit.data.record import Record
-from hystfit.outcome import Code, Column, Note, Severity, Table
+from hystfit.outcome import Code, Column, Note, Table
 from hystfit.outcome.merged_notes import merged
+from hystfit.outcome.note import warn
 from hystfit.outcome.notebook import fragment
 from hystfit.outcome.table import rounded
 from hystfit.params.units import loop_energy, quantity
@@ -151,22 +152,16 @@ def quantities(data: Record | Dataset, sample: Sample | None = None, correct: Co
     return LoopValues(rows, some(corrections), some(notes))
 
 
-_NO_CYCLE = Note(
-    Code.NOT_CLOSED,
-    "no closed loop: the input does not cover the same range in both directions; measure a whole cycle",
-    Severity.WARNING,
+_NO_CYCLE = warn(
+    Code.NOT_CLOSED, "no closed loop: the input does not cover the same range in both directions; measure a whole cycle"
 )
-_NO_AREA = Note(
-    Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise", Severity.WARNING
-)
+_NO_AREA = warn(Code.NOT_CLOSED, "no loop: the branches of the largest cycles differ by no more than the noise")
 _LOBED = Note(
     Code.CROSSING,
     "the branches cross, and the lobes run in opposite directions (a butterfly): the loop has no loss, width or height",
 )
-_LIMITED = Note(
-    Code.CLIPPED,
-    "the sensor is saturated at the ends of the loop: its ranges, stiffness and areas are lower bounds",
-    Severity.WARNING,
+_LIMITED = warn(
+    Code.CLIPPED, "the sensor is saturated at the ends of the loop: its ranges, stiffness and areas are lower bounds"
 )
 _CUT_OFF = ("stroke", "saturation", "Js", "secant_stiffness", "loop_area", "W")
 _Read = tuple[tuple[LoopValue, ...], tuple[Correction, ...], tuple[Note, ...]]
@@ -274,7 +269,7 @@ def _with_data_sheet(
     notes = list(convention_notes(record, rows))
     if rows and not closed and any(row.name.startswith("coercive_input_") for row in rows):
         text = "no loss per cycle: the loop does not end where it began"
-        notes.append(Note(Code.NOT_CLOSED, text, Severity.WARNING))
+        notes.append(warn(Code.NOT_CLOSED, text))
     if magnetic is None:
         return rows, (), tuple(notes)
     sheet = magnetic_values(magnetic)
@@ -292,10 +287,10 @@ def _with_data_sheet(
         notes.append(Note(Code.UNITS, text))
     if magnetic.branches and not any(row.name == "Js" for row in sheet):
         text = "no saturation Js: the field does not reach the approach to saturation, or has too few samples there"
-        notes.append(Note(Code.EXTRAPOLATION, text, Severity.WARNING))
+        notes.append(warn(Code.EXTRAPOLATION, text))
     if (law := magnetic.saturation) is not None and law.on_substrate and "slope" not in correct:
         text = "the output falls at large fields, as on a diamagnetic substrate: hystfit quantities --correct slope removes this slope"
-        notes.append(Note(Code.MODEL_ADVICE, text, Severity.WARNING))
+        notes.append(warn(Code.MODEL_ADVICE, text))
     return (*rows, *sheet), magnetic.corrections if rows or sheet else (), tuple(notes)
 
 

@@ -20,8 +20,7 @@ from hystfit.results.measured.loop_branches import (
     Branch,
     Found,
     asymmetry,
-    combined,
-    crossing,
+    center_at,
     large_branches,
     mean_ends,
     turns_of,
@@ -155,25 +154,16 @@ class MagneticLoop:
         if not self.branches:
             return self
         level, error = self._middle()
-        sides = [
-            combined([crossing(b.y - level, b.u, self.noise) for b in self.branches if b.rises == rises])
-            for rises in (True, False)
-        ]
         made = self._with(
             Correction("offset", "of the output: half sum of its ends", level, or_none(error), self.unit, apply),
             j=self.j - (level if apply else 0.0),
         )
-        shift, error = (
-            0.5 * (sides[0][0] + sides[1][0]),
-            or_none(0.5 * np.hypot(sides[0][1], sides[1][1]) / self.per_field),
-        )
+        shift, error = center_at(level, self.branches, self.noise)
         if not np.isfinite(shift):
             return made
-        text = "of the field: half sum of both crossings"
-        return made._with(
-            Correction("offset", text, shift / self.per_field, error, self.units[0], apply),
-            h=made.h - (shift if apply else 0.0),
-        )
+        text, per, unit = "of the field: half sum of both crossings", self.per_field, self.units[0]
+        found = Correction("offset", text, shift / per, or_none(error / per), unit, apply)
+        return made._with(found, h=made.h - (shift if apply else 0.0))
 
     def _sloped(self, apply: bool) -> MagneticLoop:
         law = saturation(list(self.branches))

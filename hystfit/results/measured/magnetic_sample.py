@@ -45,14 +45,8 @@ class Sample:
     image: float | None = None
 
     def __post_init__(self) -> None:
-        positive = {
-            "size": self.size,
-            "volume": self.volume,
-            "mass": self.mass,
-            "density": self.density,
-            "image": self.image,
-        }
-        for name, value in positive.items():
+        for name in ("size", "volume", "mass", "density", "image"):
+            value = getattr(self, name)
             if value is not None and not (np.isfinite(value).all() and np.all(np.asarray(value) > 0)):
                 raise DataError(f"the {name} of the sample must be positive, got {value}")
         if self.size is not None and len(self.size) != 3:

@@ -207,10 +207,8 @@ def _mean(name: str, label: str, found: list[tuple[bool, Found]], unit: tuple[st
 
 def _loss(loop: MagneticLoop) -> Iterator[LoopValue]:
     """Loss per cycle and volume, of loops that were measured as moments."""
-    pairs = [
-        pair for pair in itertools.pairwise(loop.branches) if pair[0].rises != pair[1].rises and closes(*pair, loop.j)
-    ]
-    if pairs:
+    pairs = itertools.pairwise(loop.branches)
+    if pairs := [pair for pair in pairs if pair[0].rises != pair[1].rises and closes(*pair, loop.j)]:
         value, error, count = loss(pairs, loop.sigma, loop.correlated)
         yield LoopValue("W", "hysteresis loss per cycle", value, error, "J/m3", count)
 
@@ -236,11 +234,9 @@ def _permeabilities(loop: MagneticLoop, width: list[float]) -> Iterator[LoopValu
     flux = loop.j + MU0 * loop.h
     tips = [(b.u[k], b.y[k] + MU0 * b.u[k]) for b in loop.branches for k in (0, -1)]
     if tips and abs(loop.h.max() + loop.h.min()) <= SAME_LEVEL * np.ptp(loop.h):
-        values = [b / (MU0 * h) for h, b in tips if h != 0]
+        values, label = [b / (MU0 * h) for h, b in tips if h != 0], "amplitude permeability at the tip"
         spread = 0.5 * float(np.ptp(values))
-        yield LoopValue(
-            "mu_a", "amplitude permeability at the tip", float(np.mean(values)), None, "", len(values), spread=spread
-        )
+        yield LoopValue("mu_a", label, float(np.mean(values)), None, "", len(values), spread=spread)
     if abs(loop.h[0]) > SAME_LEVEL * np.ptp(loop.h) or abs(flux[0]) > SAME_LEVEL * np.ptp(flux) or not width:
         return
     rising = loop.h[-1] if not loop.branches else loop.h[int(np.argmax(np.abs(loop.h)))]

@@ -10,7 +10,7 @@ from hystfit.data.record import Record
 from hystfit.params.units import is_energy, loop_energy, size_in
 from hystfit.quality.faults import CLEAR
 from hystfit.quality.loops import SAME_LEVEL
-from hystfit.results.measured.loop_branches import GAP, Branch, combined, crossing
+from hystfit.results.measured.loop_branches import GAP, Branch, center_at
 from hystfit.results.measured.loop_origin import is_unipolar
 from hystfit.results.measured.measured_value import LoopValue
 
@@ -56,11 +56,7 @@ def _about_middle(
     """The offset of a loop about the middle of its polarization, as another zero of the charge amplifier hides an imprint."""
     y = np.concatenate([b.y for b in branches])
     middle = 0.5 * float(y.max() + y.min())
-    at = {
-        rises: combined([crossing(b.y - middle, b.u, noise) for b in branches if b.rises == rises])
-        for rises in (True, False)
-    }
-    value, error = 0.5 * (at[True][0] + at[False][0]), 0.5 * float(np.hypot(at[True][1], at[False][1]))
+    value, error = center_at(middle, branches, noise)
     if offset and abs(value - offset[0].value) > CLEAR * np.hypot(error, offset[0].stderr or 0.0):
         label = f"offset about the middle of the polarization ({middle:.4g} {record.y_unit}".rstrip() + ")"
         yield LoopValue("offset_about_middle", label, value, error, record.u_unit)

@@ -28,12 +28,9 @@ _NAMED = ("coercive_input", "remanence", "loop_area", "stroke")
 
 
 def without_first_loading(branches: list[Branch], first: int, sigma: float) -> list[Branch]:
-    """Branches without the first piece of the record, where later ones in its direction begin elsewhere.
+    """Large branches, in the order of time, without the first piece of the record, where later ones in its direction begin elsewhere.
 
-    Args:
-        branches: large ones, in the order of time.
-        first: samples of the first piece of the record, which is the first branch where this is as long.
-        sigma: noise of the output [y]; NaN where it is unknown.
+    That piece has `first` samples; `sigma` is the noise of the output [y], NaN where it is unknown.
     """
     same = [b.y[0] for b in branches[1:] if b.rises == branches[0].rises]
     if not same or branches[0].u.size != first:

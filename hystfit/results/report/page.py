@@ -15,15 +15,7 @@ from hystfit.results.plots import draw
 from hystfit.results.record_plots import selects_cycles, traces_of
 from hystfit.results.report.answer import Wording, answer
 from hystfit.results.report.tables import fixed_words, metrics_table, parameter_table, quantity_table, unit_words
-from hystfit.results.report.text_report import (
-    ERRORS,
-    facts,
-    headline,
-    quantities_of,
-    remarks,
-    text_report,
-    verdict,
-)
+from hystfit.results.report.text_report import ERRORS, facts, headline, quantities_of, remarks, text_report, verdict
 from hystfit.results.result import FitResult
 from hystfit.results.webpage import Page, Picture
 

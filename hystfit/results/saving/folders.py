@@ -75,7 +75,6 @@ class writing:
         self.target = Path(target)
 
     def __enter__(self) -> Path:
-        """Make the scratch folder."""
         self.created = not self.target.exists()
         self.held = contextlib.ExitStack()
         try:
