@@ -19,10 +19,8 @@ CLEAR = 5.0
 # reach 2e-5, second points 0.13, and those of simulated curves stay above 0.4.
 SIGNIFICANCE = 1e-3
 _PRINTED = 0.05  # of the step between levels, up to which rounded values differ from their level by the digits printed
-_DIGITS, _WHOLE = (
-    9,
-    1e-6,
-)  # of a printed number, and how far the arithmetic takes its multiples from whole numbers, at most
+_DIGITS = 9  # of a printed number, at most
+_WHOLE = 1e-6  # from a whole number, up to which a quotient is one but for the arithmetic
 _ROUNDING = 0.5, 1.2  # noise over the error of rounding, between which it is that error alone
 # Times the largest step within so many samples, that an outlier stands out.
 _FAR, _STEPS = 4.0, 6
