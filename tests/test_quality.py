@@ -1297,6 +1297,42 @@ def test_the_current_of_a_capacitor_is_integrated_and_not_damaged(sign, tmp_path
     assert run(command.split()[1:]) == 0  # integrated: a loop of charge
 
 
+def calorimetry(sign, *, timed):
+    """A heat flow in a cycle of temperature: a heat capacity, and a transition that absorbs 12 J/g at 72 degC and releases it at 48."""
+    t = np.arange(0.0, 1200.0, 1.0)
+    temperature = 20 + np.minimum(t, 1200 - t) / 6
+    rising, peak = t < 600, 12 / (3 * np.sqrt(2 * np.pi))
+    enthalpy_rate = (
+        np.where(rising, 1.0, -1.0)
+        / 6
+        * (0.7 + peak * np.exp(-0.5 * ((temperature - np.where(rising, 72, 48)) / 3) ** 2))
+    )
+    noise = 0.003 * np.random.default_rng(0).standard_normal(t.size)
+    return Record(temperature, sign * enthalpy_rate + noise, t if timed else None, u_unit="°C", y_unit="W/g")
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_heat_flow_of_a_calorimeter_is_integrated(sign):
+    """Heat flows of heating and cooling differ in sign, and between them lies no loop; that of the enthalpy has the height of the heat."""
+    record = calorimetry(sign, timed=True)
+    report = check(record)
+    found = next(note for note in report.findings if note.code is Code.RATE)
+    assert found.option == ("integrate", "true")
+    assert report.advice is None
+    loop = record.integrated()
+    assert loop.y_unit == "J/g"
+    at_60 = lambda rows: np.interp(60, loop.u[rows], sign * loop.y[rows])
+    np.testing.assert_allclose(at_60(slice(None, 600)) - at_60(slice(None, 600, -1)), -12, atol=1)
+
+
+def test_a_heat_flow_without_a_time_asks_for_it():
+    record = calorimetry(-1.0, timed=False)
+    report = check(record)
+    found = next(note for note in report.findings if note.code is Code.RATE)
+    assert (found.severity, found.option) == ("warning", None)
+    assert report.advice is None
+
+
 def test_a_loop_is_open_on_a_steep_line_and_with_points_far_in_saturation():
     """A film on a magnetic substrate, and a table whose last points are a thousand coercivities away; neither is a butterfly."""
     branch = lambda u, sign: np.tanh((u - sign * 160.0) / 300.0)

@@ -346,7 +346,7 @@ def stiffness_unit(force: str, path: str) -> tuple[str, float]:
 
 
 def integral_unit(unit: str) -> str:
-    """Unit of the integral over seconds: "uC" for "uA", "uC/cm2" for "uA/cm2", else the unit times s; "" if unknown."""
-    if match := re.match(r"[pnuµμmk]?A(?![A-Za-z])", unit):
-        return match[0][:-1] + "C" + unit[match.end() :]
+    """Unit of the integral over seconds: "uC/cm2" for "uA/cm2", "J/g" for "W/g", else the unit times s; "" if unknown."""
+    if match := re.match(r"([pnuµμmk]?)([AW])(?![A-Za-z])", unit):
+        return match[1] + {"A": "C", "W": "J"}[match[2]] + unit[match.end() :]
     return unit and f"{unit}*s"
