@@ -408,6 +408,29 @@ def test_lag_is_recovered_whatever_the_hysteresis(wave, model, lag):
     assert found.seconds == pytest.approx(found.samples / 200)
 
 
+@pytest.mark.parametrize("period", [50, 200, 500, 2000])
+@pytest.mark.parametrize("lag", [0.0, 0.02])
+def test_a_saturating_loop_neither_lags_nor_leads_where_its_turns_do_not_show_it(period, lag):
+    """Behind a saturation the branches bend close to their turns, which the polynomials there take for a lead at any rate."""
+    t = np.arange(0, 8 * period) / period
+    u = 1.5 * np.sin(2 * np.pi * t) * (0.6 + 0.4 * np.cos(2 * np.pi * t / 8) ** 2)
+    plays = sum(0.1 * np.exp(-2 * r) * _play(u, r) for r in np.linspace(0.05, 1.0, 15))
+    y = np.interp(t - lag, t, np.tanh(5 * plays / np.abs(plays).max()))
+    for seed in range(3):
+        noisy = y + 0.004 * np.random.default_rng(seed).standard_normal(t.size)
+        found = examined(Record(u, noisy, t=t)).records[0]
+        assert not found.leads
+        assert not (found.lags and lag == 0)
+
+
+def _play(u, half_width):
+    """Position of one play, in a plain loop."""
+    place, places = 0.0, np.empty_like(u)
+    for k, now in enumerate(u):
+        places[k] = place = min(max(place, now - half_width), now + half_width)
+    return places
+
+
 def test_lag_is_unknown_without_turns_or_time():
     t, u = signals.sine(0.4, 200, frequency=0.5)
     assert examined(Record(u, u, t=t)).records[0].lag is None
