@@ -21,8 +21,8 @@ SOFTER = 0.7  # part of the first stiffness after a reversal below which the lat
 WHOLE = 1 - APART  # part of the stiffness from which a device is whole
 # Part of the stiffness or of the output that is left on late branches, or after larger strokes, below which it shows damage.
 WEAKER = 0.88
-# Pairs of which the output may be the rate of a charge, a flux or an enthalpy, and the part of its size from which it is that of a flux with
-# the other sign: the voltage of a sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
+# Pairs of which the output may be the rate of a charge, a flux or an enthalpy, and the part of its size from which it is that of a flux
+# with the other sign: the voltage of a sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
 OF_CHARGE = frozenset(itertools.product(("voltage", "electric field"), ("current", "current density")))
 _OF_FLUX = frozenset({("current", "voltage"), ("field", "voltage")})
 OF_ENTHALPY = frozenset({("temperature", "heat flow"), ("temperature", "power")})  # as of calorimeters
