@@ -1356,6 +1356,62 @@ def test_a_heat_flow_without_a_time_asks_for_it():
     assert report.advice is None
 
 
+def cooled(*, returns):
+    """A magnetization over a temperature that rises and falls: of particles cooled without and with a field, or of a transition."""
+    temperature = np.concatenate([np.linspace(5, 300, 120), np.linspace(300, 5, 120)])
+    rising = np.arange(240) < 120
+    in_field = 1 / np.sqrt(1 + (temperature / 60) ** 2)
+    blocked = 1 / (1 + np.exp((60 - temperature) / 8))
+    transition = 0.5 - 0.5 * np.tanh((temperature - np.where(rising, 160, 140)) / 10)
+    moment = transition if returns else np.where(rising, blocked, 1.0) * in_field
+    return temperature, moment + 0.003 * np.random.default_rng(0).standard_normal(240)
+
+
+THERMAL = {"u_unit": "K", "y_unit": "emu", "u_name": "Temperature", "y_name": "Moment"}
+
+
+def test_field_cooled_curves_are_no_loop_and_a_transition_is_one():
+    """The first sweep begins in another state than that in which the second one ends."""
+    temperature, moment = cooled(returns=False)
+    both = Record(temperature, moment, **THERMAL)
+    up = [
+        Record(temperature[rows], moment[rows], name=name, **THERMAL)
+        for name, rows in (("zfc", slice(120)), ("fc", slice(239, 119, -1)))
+    ]
+    for data in (both, Dataset(tuple(up))):
+        report = check(data)
+        assert [note.code for note in report.findings].count(Code.NO_LOOP) == 1
+        assert not has(report.findings, Code.NOT_CLOSED)
+        assert report.advice is None
+    transition = examined(Record(*cooled(returns=True), **THERMAL))
+    assert not has(transition.findings, Code.NO_LOOP)
+
+
+def remanences(*, back_to):
+    """Remanences after fields that grow, and then after fields back to `back_to` that grow in the other direction, and forth again."""
+    acquired = np.geomspace(1e-3, 1, 40)
+    switched = lambda field: 0.5 * (1 + np.tanh(np.log(field / 0.04) / 0.6))
+    back = acquired[acquired <= back_to]
+    field = [acquired, -back, *([acquired] if back_to == 1 else [])]
+    moment = [switched(acquired), 1 - 2 * switched(back), *([2 * switched(acquired) - 1] if back_to == 1 else [])]
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(sum(map(len, field)))
+    return np.concatenate(field), np.concatenate(moment) + noise
+
+
+@pytest.mark.parametrize("names", [("Field", "Remanence"), ("treat_dc_field", "magn_moment")])
+def test_remanences_after_fields_are_no_loop_unless_they_return(names):
+    """IRM and DCD curves of one file; the zero of the latter is the field at which half of the moments have switched."""
+    units = {"u_unit": "T", "y_unit": "Am2", "u_name": names[0], "y_name": names[1], "name": "specimen"}
+    curves = Record(*remanences(back_to=0.9), **units)
+    report = check(curves)
+    assert has(report.findings, Code.NO_LOOP)
+    assert report.advice is None
+    (found,) = (one for one in loop_quantities(curves).rows["specimen"] if one.name == "coercive_input")
+    assert found.label == "coercivity of remanence"
+    assert abs(found.value - 0.04) < 3 * found.stderr < 1e-3
+    assert not has(examined(Record(*remanences(back_to=1.0), **units)).findings, Code.NO_LOOP)
+
+
 def test_a_loop_is_open_on_a_steep_line_and_with_points_far_in_saturation():
     """A film on a magnetic substrate, and a table whose last points are a thousand coercivities away; neither is a butterfly."""
     branch = lambda u, sign: np.tanh((u - sign * 160.0) / 300.0)
