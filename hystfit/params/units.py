@@ -157,6 +157,7 @@ _QUANTITIES = {
     "capacitance": "F", "inductance": "H", "temperature": "K",
     "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
     "specific volume": "m^3/kg", "flow": "m^3/s", "specific power": "W/kg", "power density": "W/m^2", "curvature": "1/m",
+    "volume": "m^3", "loss density": "W/m^3",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
