@@ -146,10 +146,10 @@ def rate_note(units: Mapping[str, str], *, certain: bool, timed: bool = True) ->
     made = "charge or polarization" if conducts(units) else "enthalpy" if is_heat_flow(units) else "flux or induction"
     text = f"the output is a {quantity(units['y'])} against a {quantity(units['u'])}: for a loop of {made}, "
     if not timed:
-        return warn(
-            Code.RATE,
-            f"{text}read the time of the samples (rate=) and integrate over it with --integrate (integrate=True)",
+        text += (
+            "integrate it over time with --integrate (integrate=True); rate= gives the time of evenly spaced samples"
         )
+        return warn(Code.RATE, text)
     return Note(
         Code.RATE, f"{text}--integrate (integrate=True) integrates it over time", option=INTEGRATED if certain else None
     )
