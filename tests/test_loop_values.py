@@ -641,3 +641,19 @@ def test_an_imprint_is_found_whatever_the_zero_of_the_charge(zero: float) -> Non
     assert one.value == pytest.approx(0.15, abs=4 * one.stderr)
     assert one.stderr < 0.02
     assert ("offset_about_middle" in found) == (zero > 0)
+
+
+@pytest.mark.parametrize(("width", "name", "truth"), [(5, "coercive_input", 20), (30, "remanence", np.tanh(20 / 30))])
+@pytest.mark.parametrize(("of_input", "of_output"), [(0.5, 0.001), (2.0, 0.02), (0.05, 0.02)])
+def test_noise_of_the_input_enters_the_errors_of_one_steep_loop(width, name, truth, of_input, of_output):
+    """A field read with noise, in a loop without repeats, whose scatter would show it."""
+    rng, ratios = np.random.default_rng(0), []
+    for _ in range(25):
+        phase = np.linspace(0, 2 * np.pi, 500) + 0.01 * rng.random()
+        field = 100 * np.cos(phase)
+        moment = np.tanh((field + np.where(np.sin(phase) < 0, -20, 20)) / width)
+        field, moment = (v + size * rng.standard_normal(500) for v, size in ((field, of_input), (moment, of_output)))
+        loop = hf.Record(field, moment, u_unit="Oe", y_unit="emu", u_name="Field", y_name="Moment", name="loop")
+        (found,) = (row for row in quantities(loop).rows["loop"] if row.name == name)
+        ratios.append((found.value - truth) / found.stderr)
+    assert 0.4 < np.sqrt(np.mean(np.square(ratios))) < 1.4

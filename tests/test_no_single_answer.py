@@ -121,6 +121,20 @@ def test_the_command_for_one_record_is_quoted_for_a_shell() -> None:
     assert shlex.split(first)[-1] == "--only=0 deg"
 
 
+def test_files_of_devices_that_differ_are_to_be_fitted_one_by_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Three specimens of other strengths: no other model helps, and a command that fits each of them follows."""
+    files = [tmp_path / f"specimen_{k}.csv" for k in range(3)]
+    for path, strength in zip(files, (1.0, 1.6, 2.2), strict=True):
+        rows = "".join(f"{a:.6f},{b:.6f}\n" for a, b in zip(2 * LOOP, strength * play(2 * LOOP, 0.3), strict=True))
+        path.write_text("Displacement (mm),Force (kN)\n" + 2 * rows)
+    result = hf.fit("prandtl-ishlinskii:plays=6", hf.read(files), noise="iid")
+    first = shlex.split(next_commands(result, Wording())[0])
+    assert first[:2] == ["hystfit", "batch"]
+    assert run(first[1:]) == 0
+
+
 def test_the_least_error_is_that_of_the_samples() -> None:
     """A sine has most of its samples near the turning points, where the loops are close: the best one model errs less there."""
     u = np.sin(np.linspace(0, 4 * np.pi, 2 * N))

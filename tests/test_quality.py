@@ -408,6 +408,29 @@ def test_lag_is_recovered_whatever_the_hysteresis(wave, model, lag):
     assert found.seconds == pytest.approx(found.samples / 200)
 
 
+@pytest.mark.parametrize("period", [50, 200, 500, 2000])
+@pytest.mark.parametrize("lag", [0.0, 0.02])
+def test_a_saturating_loop_neither_lags_nor_leads_where_its_turns_do_not_show_it(period, lag):
+    """Behind a saturation the branches bend close to their turns, which the polynomials there take for a lead at any rate."""
+    t = np.arange(0, 8 * period) / period
+    u = 1.5 * np.sin(2 * np.pi * t) * (0.6 + 0.4 * np.cos(2 * np.pi * t / 8) ** 2)
+    plays = sum(0.1 * np.exp(-2 * r) * _play(u, r) for r in np.linspace(0.05, 1.0, 15))
+    y = np.interp(t - lag, t, np.tanh(5 * plays / np.abs(plays).max()))
+    for seed in range(3):
+        noisy = y + 0.004 * np.random.default_rng(seed).standard_normal(t.size)
+        found = examined(Record(u, noisy, t=t)).records[0]
+        assert not found.leads
+        assert not (found.lags and lag == 0)
+
+
+def _play(u, half_width):
+    """Position of one play, in a plain loop."""
+    place, places = 0.0, np.empty_like(u)
+    for k, now in enumerate(u):
+        places[k] = place = min(max(place, now - half_width), now + half_width)
+    return places
+
+
 def test_lag_is_unknown_without_turns_or_time():
     t, u = signals.sine(0.4, 200, frequency=0.5)
     assert examined(Record(u, u, t=t)).records[0].lag is None
@@ -1295,6 +1318,98 @@ def test_the_current_of_a_capacitor_is_integrated_and_not_damaged(sign, tmp_path
     run(["check", str(tmp_path / "pulse.csv")])
     command = capsys.readouterr().out.strip().splitlines()[-1]
     assert run(command.split()[1:]) == 0  # integrated: a loop of charge
+
+
+def calorimetry(sign, *, timed):
+    """A heat flow in a cycle of temperature: a heat capacity, and a transition that absorbs 12 J/g at 72 degC and releases it at 48."""
+    t = np.arange(0.0, 1200.0, 1.0)
+    temperature = 20 + np.minimum(t, 1200 - t) / 6
+    rising, peak = t < 600, 12 / (3 * np.sqrt(2 * np.pi))
+    enthalpy_rate = (
+        np.where(rising, 1.0, -1.0)
+        / 6
+        * (0.7 + peak * np.exp(-0.5 * ((temperature - np.where(rising, 72, 48)) / 3) ** 2))
+    )
+    noise = 0.003 * np.random.default_rng(0).standard_normal(t.size)
+    return Record(temperature, sign * enthalpy_rate + noise, t if timed else None, u_unit="°C", y_unit="W/g")
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_heat_flow_of_a_calorimeter_is_integrated(sign):
+    """Heat flows of heating and cooling differ in sign, and between them lies no loop; that of the enthalpy has the height of the heat."""
+    record = calorimetry(sign, timed=True)
+    report = check(record)
+    found = next(note for note in report.findings if note.code is Code.RATE)
+    assert found.option == ("integrate", "true")
+    assert report.advice is None
+    loop = record.integrated()
+    assert loop.y_unit == "J/g"
+    at_60 = lambda rows: np.interp(60, loop.u[rows], sign * loop.y[rows])
+    np.testing.assert_allclose(at_60(slice(None, 600)) - at_60(slice(None, 600, -1)), -12, atol=1)
+
+
+def test_a_heat_flow_without_a_time_asks_for_it():
+    record = calorimetry(-1.0, timed=False)
+    report = check(record)
+    found = next(note for note in report.findings if note.code is Code.RATE)
+    assert (found.severity, found.option) == ("warning", None)
+    assert report.advice is None
+
+
+def cooled(*, returns):
+    """A magnetization over a temperature that rises and falls: of particles cooled without and with a field, or of a transition."""
+    temperature = np.concatenate([np.linspace(5, 300, 120), np.linspace(300, 5, 120)])
+    rising = np.arange(240) < 120
+    in_field = 1 / np.sqrt(1 + (temperature / 60) ** 2)
+    blocked = 1 / (1 + np.exp((60 - temperature) / 8))
+    transition = 0.5 - 0.5 * np.tanh((temperature - np.where(rising, 160, 140)) / 10)
+    moment = transition if returns else np.where(rising, blocked, 1.0) * in_field
+    return temperature, moment + 0.003 * np.random.default_rng(0).standard_normal(240)
+
+
+THERMAL = {"u_unit": "K", "y_unit": "emu", "u_name": "Temperature", "y_name": "Moment"}
+
+
+def test_field_cooled_curves_are_no_loop_and_a_transition_is_one():
+    """The first sweep begins in another state than that in which the second one ends."""
+    temperature, moment = cooled(returns=False)
+    both = Record(temperature, moment, **THERMAL)
+    up = [
+        Record(temperature[rows], moment[rows], name=name, **THERMAL)
+        for name, rows in (("zfc", slice(120)), ("fc", slice(239, 119, -1)))
+    ]
+    for data in (both, Dataset(tuple(up))):
+        report = check(data)
+        assert [note.code for note in report.findings].count(Code.NO_LOOP) == 1
+        assert not has(report.findings, Code.NOT_CLOSED)
+        assert report.advice is None
+    transition = examined(Record(*cooled(returns=True), **THERMAL))
+    assert not has(transition.findings, Code.NO_LOOP)
+
+
+def remanences(*, back_to):
+    """Remanences after fields that grow, and then after fields back to `back_to` that grow in the other direction, and forth again."""
+    acquired = np.geomspace(1e-3, 1, 40)
+    switched = lambda field: 0.5 * (1 + np.tanh(np.log(field / 0.04) / 0.6))
+    back = acquired[acquired <= back_to]
+    field = [acquired, -back, *([acquired] if back_to == 1 else [])]
+    moment = [switched(acquired), 1 - 2 * switched(back), *([2 * switched(acquired) - 1] if back_to == 1 else [])]
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(sum(map(len, field)))
+    return np.concatenate(field), np.concatenate(moment) + noise
+
+
+@pytest.mark.parametrize("names", [("Field", "Remanence"), ("treat_dc_field", "magn_moment")])
+def test_remanences_after_fields_are_no_loop_unless_they_return(names):
+    """IRM and DCD curves of one file; the zero of the latter is the field at which half of the moments have switched."""
+    units = {"u_unit": "T", "y_unit": "Am2", "u_name": names[0], "y_name": names[1], "name": "specimen"}
+    curves = Record(*remanences(back_to=0.9), **units)
+    report = check(curves)
+    assert has(report.findings, Code.NO_LOOP)
+    assert report.advice is None
+    (found,) = (one for one in loop_quantities(curves).rows["specimen"] if one.name == "coercive_input")
+    assert found.label == "coercivity of remanence"
+    assert abs(found.value - 0.04) < 3 * found.stderr < 1e-3
+    assert not has(examined(Record(*remanences(back_to=1.0), **units)).findings, Code.NO_LOOP)
 
 
 def test_a_loop_is_open_on_a_steep_line_and_with_points_far_in_saturation():

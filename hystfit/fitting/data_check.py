@@ -52,9 +52,12 @@ def check(data: Any, y: Any = None, t: Any = None, *, u: Any = None, data_only: 
 
 def is_settled(report: QualityReport) -> bool:
     """Whether no model can add to a report: there is no loop, no one loop, too few samples, or the output is to be integrated first."""
-    charge = any(note.option == INTEGRATED for note in report.findings)
+    rate = any(
+        note.code is Code.RATE and (note.option == INTEGRATED or note.severity is Severity.WARNING)
+        for note in report.findings
+    )
     few = any(note.code is Code.TOO_FEW_SAMPLES and note.severity is Severity.ERROR for note in report.findings)
-    return charge or few or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
+    return rate or few or has(report.findings, Code.NO_LOOP, Code.RECORDS_DIFFER)
 
 
 def with_models(report: QualityReport, records: Dataset, found: Comparison | None) -> QualityReport:

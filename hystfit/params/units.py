@@ -157,6 +157,7 @@ _QUANTITIES = {
     "capacitance": "F", "inductance": "H", "temperature": "K",
     "temperature in degC": "degC", "temperature in degF": "degF", "counts": "counts", "amount": "mol", "molar loading": "mol/kg",
     "specific volume": "m^3/kg", "flow": "m^3/s", "specific power": "W/kg", "power density": "W/m^2", "curvature": "1/m",
+    "volume": "m^3", "loss density": "W/m^3",
 }  # fmt: skip
 # What a column with such a unit is, where that is more or less than the dimension says.
 _AS_COLUMN = {
@@ -343,7 +344,7 @@ def stiffness_unit(force: str, path: str) -> tuple[str, float]:
 
 
 def integral_unit(unit: str) -> str:
-    """Unit of the integral over seconds: "uC" for "uA", "uC/cm2" for "uA/cm2", else the unit times s; "" if unknown."""
-    if match := re.match(r"[pnuµμmk]?A(?![A-Za-z])", unit):
-        return match[0][:-1] + "C" + unit[match.end() :]
+    """Unit of the integral over seconds: "uC/cm2" for "uA/cm2", "J/g" for "W/g", else the unit times s; "" if unknown."""
+    if match := re.match(r"([pnuµμmk]?)([AW])(?![A-Za-z])", unit):
+        return match[1] + {"A": "C", "W": "J"}[match[2]] + unit[match.end() :]
     return unit and f"{unit}*s"

@@ -22,6 +22,7 @@ from hystfit.quality.drift import Drift
 from hystfit.quality.equal_inputs import apart_note
 from hystfit.quality.findings import findings
 from hystfit.quality.needs import Needs
+from hystfit.quality.other_curves import no_loop_reason
 from hystfit.quality.record_quality import RecordQuality
 from hystfit.quality.reversal_curves import ReversalFamily, recognize_family
 from hystfit.quality.summary import summarize
@@ -165,6 +166,10 @@ def examine(data: Record | Dataset, needs: Mapping[str, Needs] | None = None) ->
     dataset = Dataset.of(data)
     records = tuple(_measured(record, single=len(dataset) == 1) for record in dataset)
     notes, determined = (*conditions_of(dataset), *findings(records)), determine(records, needs or {})
+    reasons = [no_loop_reason(record) for record in dataset]
+    if all(reasons):
+        first = [warn(Code.NO_LOOP, reason) for reason in dict.fromkeys(reasons) if reason]
+        notes = (*first, *(note for note in notes if note.code not in (Code.NO_LOOP, Code.NOT_CLOSED)))
     family = recognize_family(dataset)
     if family is None:
         notes = (*([apart] if (apart := apart_note(tuple(dataset))) else []), *notes)

@@ -11,7 +11,7 @@ from hystfit.params.units import quantity
 from hystfit.quality.damage import FAILED
 from hystfit.quality.determination import few_samples
 from hystfit.quality.faults import CLEAR, MOST
-from hystfit.quality.record_quality import OF_CHARGE, RecordQuality
+from hystfit.quality.record_quality import OF_CHARGE, OF_ENTHALPY, RecordQuality
 from hystfit.quality.resonance import Dynamics
 
 # Decades over which three quarters of a column extend, from which its logarithm is the quantity to fit: suctions of soils, resistances of a
@@ -132,14 +132,27 @@ def flat_words(count: int) -> str:
     )
 
 
-def rate_note(units: Mapping[str, str], *, certain: bool) -> Note:
-    """A note on a current or an induced voltage, of which the integral makes the loop; where that is certain, with the option for it."""
-    made = "charge or polarization" if conducts(units) else "flux or induction"
-    text = (
-        f"the output is a {quantity(units['y'])} against a {quantity(units['u'])}: for a loop of {made}, --integrate (integrate=True) "
-        "integrates it over time"
+def is_heat_flow(units: Mapping[str, str]) -> bool:
+    """Whether records with these units of u and y are heat flows against temperatures, as of calorimeters."""
+    return (quantity(units["u"]), quantity(units["y"])) in OF_ENTHALPY
+
+
+def rate_note(units: Mapping[str, str], *, certain: bool, timed: bool = True) -> Note:
+    """A note on an output whose integral makes the loop, see `is_rate`; where that is certain, with the option for it.
+
+    Args:
+        timed: whether the records have times; without them, the note is a warning.
+    """
+    made = "charge or polarization" if conducts(units) else "enthalpy" if is_heat_flow(units) else "flux or induction"
+    text = f"the output is a {quantity(units['y'])} against a {quantity(units['u'])}: for a loop of {made}, "
+    if not timed:
+        text += (
+            "integrate it over time with --integrate (integrate=True); rate= gives the time of evenly spaced samples"
+        )
+        return warn(Code.RATE, text)
+    return Note(
+        Code.RATE, f"{text}--integrate (integrate=True) integrates it over time", option=INTEGRATED if certain else None
     )
-    return Note(Code.RATE, text, option=INTEGRATED if certain else None)
 
 
 def _response(record: RecordQuality) -> Iterator[Note]:
@@ -166,8 +179,9 @@ def _response(record: RecordQuality) -> Iterator[Note]:
         )
     if record.output_controlled:
         yield CONTROLLED
-    if record.sampling.rate is not None and (record.is_rate or conducts(record.units)):
-        yield rate_note(record.units, certain=record.is_rate)
+    timed = record.sampling.rate is not None
+    if (timed and conducts(record.units)) or (record.is_rate and (timed or is_heat_flow(record.units))):
+        yield rate_note(record.units, certain=record.is_rate, timed=timed)
 
 
 def _loops(record: RecordQuality, *, alone: bool) -> Iterator[Note]:

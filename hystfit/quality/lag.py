@@ -153,7 +153,7 @@ def estimate_lag(
 
     Returns:
         None with fewer than three usable turns, where branches are too short or hold at the turn, or without a best delay
-        within a quarter of a branch and 20 samples.
+        clearly within a quarter of a branch and 20 samples.
     """
     u, y = np.asarray(u, dtype=float), np.asarray(y, dtype=float)
     if reversals.size < 2:
@@ -170,11 +170,12 @@ def estimate_lag(
             estimates.append(_over_turns(turns, y, spline, delays))
         if len(estimates) == 2:
             break
-    if not estimates or estimates[0] is None:
+    if not estimates:
         return None
     best, stderr, count = estimates[0]
-    if len(estimates) > 1 and estimates[1] is not None:
-        stderr = float(np.hypot(stderr, 0.5 * (estimates[1][0] - best)))
+    if abs(best) + 2 * stderr >= reach:
+        return None
+    stderr = float(np.hypot(stderr, estimates[-1][0] - best))
     stderr = float(np.hypot(stderr, _OF_HALF_CYCLE * np.median(np.diff(reversals))))
     if stderr > max(2.0, 0.5 * abs(best)) or _rests(turns, y, best):
         return None
@@ -196,18 +197,14 @@ def _rests(turns: list[_Turn], y: np.ndarray, lag: float) -> bool:
     return bool(short.mean() + 2 * short.std(ddof=1) / np.sqrt(short.size) <= 0)
 
 
-def _over_turns(
-    turns: list[_Turn], y: np.ndarray, spline: Spline, delays: np.ndarray
-) -> tuple[float, float, int] | None:
-    """Best delay over all turns, its jackknife standard error, and the number of turns."""
+def _over_turns(turns: list[_Turn], y: np.ndarray, spline: Spline, delays: np.ndarray) -> tuple[float, float, int]:
+    """Best delay over all turns, its jackknife standard error, infinite at an end of the range, and the number of turns."""
     misfit = np.array([_misfit(turn, y, spline, delays) for turn in turns])
     best = _lowest(delays, misfit.sum(axis=0))
-    if best is None:
-        return None
     without = [_lowest(delays, misfit.sum(axis=0) - one) for one in misfit]
     known = np.array([value for value in without if value is not None])
-    if known.size < 2:
-        return None
+    if best is None or known.size < 2:
+        return float(delays[np.argmin(misfit.sum(axis=0))]), np.inf, len(turns)
     scatter = np.sqrt((known.size - 1) / known.size * np.sum((known - known.mean()) ** 2))
     upper = np.array([turn.upper for turn in turns])
     sides = [_lowest(delays, misfit[side].sum(axis=0)) for side in (upper, ~upper) if side.any()]

@@ -21,10 +21,11 @@ SOFTER = 0.7  # part of the first stiffness after a reversal below which the lat
 WHOLE = 1 - APART  # part of the stiffness from which a device is whole
 # Part of the stiffness or of the output that is left on late branches, or after larger strokes, below which it shows damage.
 WEAKER = 0.88
-# Pairs of which the output may be the rate of a charge or of a flux, and the part of its size from which it is the latter with the other
-# sign: the voltage of a sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
+# Pairs of which the output may be the rate of a charge, a flux or an enthalpy, and the part of its size from which it is that of a flux
+# with the other sign: the voltage of a sensor that lags behind a field has -0.8 where the coercivity is 0.8 of the largest field.
 OF_CHARGE = frozenset(itertools.product(("voltage", "electric field"), ("current", "current density")))
 _OF_FLUX = frozenset({("current", "voltage"), ("field", "voltage")})
+OF_ENTHALPY = frozenset({("temperature", "heat flow"), ("temperature", "power")})  # as of calorimeters
 _WIDEST = 0.9
 # Quantities that do work on a device and those which they drive: a device that dissipates it lags, counter-clockwise.
 _WORK = frozenset(
@@ -164,7 +165,7 @@ class RecordQuality:
 
     @property
     def is_rate(self) -> bool:
-        """Whether the output is the rate of what makes the loop: the current that charges a device, the voltage that a flux induces."""
+        """Whether the output is the rate of what makes the loop: a charging current, an induced voltage, a heat flow."""
         return is_rate(self.units, self.of_rate)
 
     @property
@@ -264,11 +265,11 @@ class RecordQuality:
 
 
 def is_rate(units: Mapping[str, str], of_rate: float) -> bool:
-    """Whether an output in these units is the rate of a charge or of a flux.
+    """Whether an output in these units is the rate of a charge, a flux or an enthalpy.
 
     Args:
         of_rate: of the output, see `circulation.of_rate`.
     """
     kinds = quantity(units["u"]), quantity(units["y"])
-    charges = kinds in OF_CHARGE and abs(of_rate) > OF_RATE
-    return charges or (kinds in _OF_FLUX and (of_rate > OF_RATE or of_rate < -_WIDEST))
+    of_either_sign = kinds in OF_CHARGE | OF_ENTHALPY and abs(of_rate) > OF_RATE
+    return of_either_sign or (kinds in _OF_FLUX and (of_rate > OF_RATE or of_rate < -_WIDEST))

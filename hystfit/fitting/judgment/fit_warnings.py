@@ -27,6 +27,7 @@ from hystfit.quality.findings import (
     chatter_note,
     conducts,
     flat_words,
+    is_heat_flow,
     place_of,
     rate_note,
     scale_notes,
@@ -117,9 +118,11 @@ def _followed_drift(fitted: Fitted) -> Note | None:
 
 def _at_one_rate(data: Dataset) -> Note | None:
     """A warning of a rate whose integral makes the loop, and of currents against voltages at one rate, or at an unknown one."""
-    rates = (is_rate(data.units, of_rate(r.u, r.y)) for r in data if r.t is not None)
-    if any(rates):
-        return dataclasses.replace(rate_note(data.units, certain=True), severity=Severity.WARNING)
+    heat = is_heat_flow(data.units)
+    rates = [r for r in data if (heat or r.t is not None) and is_rate(data.units, of_rate(r.u, r.y))]
+    if rates:
+        note = rate_note(data.units, certain=True, timed=all(r.t is not None for r in rates))
+        return dataclasses.replace(note, severity=Severity.WARNING)
     if not conducts(data.units) or paces(data) > 1:
         return None
     text = (

@@ -22,6 +22,7 @@ from hystfit.quality.damage import whole_until
 from hystfit.quality.equal_inputs import apart_note, option_of
 from hystfit.quality.faults import FEWEST_SAMPLES, noise_rms, runs
 from hystfit.quality.loops import clear_reversals, turns_back
+from hystfit.quality.other_curves import no_loop_reason
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import summarize
 from hystfit.results.accuracy import (
@@ -99,6 +100,9 @@ def _status_of(fitted: Fitted) -> tuple[Status, list[Note]]:
     data, train, baselines, percent = fitted.data, fitted.train, fitted.baselines, fitted.percent
     if not (fitted.model.from_saturation or turns_back(data)):
         return Status.NO_LOOP, [_no_loop(data)]
+    reasons = [no_loop_reason(record) for record in data]
+    if reasons[0] and all(reasons):
+        return Status.NO_LOOP, _error(Code.NO_LOOP, reasons[0])
     parameters = fitted.estimate.x.size
     # Smooth weights may outnumber the samples: the cross-validation that chose their penalty tests them.
     smooth = fitted.model.estimator == "preisach" and fitted.estimate.penalty is not None

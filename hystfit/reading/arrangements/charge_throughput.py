@@ -222,7 +222,9 @@ def cycled(records: Sequence[Record]) -> list[Record]:
     ways, ranges = [_one_way(record.u) for record in records], [float(np.ptp(record.u)) for record in records]
     between = [size for size, way in zip(ranges, ways, strict=True) if not way]
     if {"charge", "discharge"} <= set(ways) and all(size < MAJORITY * max(ranges) for size in between):
-        return [joined(records, counted=True)]
+        whole = joined(records, counted=True)
+        halved = Code.CURVES, Severity.WARNING  # what was noted where a file was read by itself
+        return [whole.replace(notes=tuple(note for note in whole.notes if (note.code, note.severity) != halved))]
     text = "half a cycle, which is no loop; name the file of the other half too (A.csv B.csv)"
     noted = lambda record, way: record.noted(Code.CURVES, f"the cell is only {way}d: {text}", Severity.WARNING)
     return [noted(record, way) if way else record for record, way in zip(records, ways, strict=True)]

@@ -22,8 +22,8 @@ _NUMBER = re.compile(r"[ _.#-]*\d+$|\[\d+\]$")  # of a loop, at the end of a nam
 # Words between underscores and signs, and of CamelCase; a number keeps its decimals: 0.5T of H_0.5T.
 _WORD = re.compile(r"\d+\.\d+[^\W_]*|[^\W_]+?(?=[\W_]|$|(?<=[a-z])(?=[A-Z]))")
 _CONDITION = re.compile(
-    r"(.*?)(?:[\s_@(]|at\b)*(?:\b\w{1,3} ?= ?)?([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
-)  # a value and its unit behind a name: M 5K, Id (Vd = 1 V)
+    r"(.*?)(?:[\s_@(]|at\b)*(?:[^\W_]+ ?= ?)?([+-]?\d+(?:[.,]\d+)?)\s*([A-Za-z°%]+)\)?"
+)  # a value and its unit behind a name: M 5K, Id (Vd = 1 V), Vbias=1 V
 # Part of the mean step from row to row below which samples follow each other from column to column, where there are more rows;
 # its reciprocal where there are more columns.
 _SMOOTHER = 0.3

@@ -146,7 +146,12 @@ def _is_header(parts: list[str], decimal: str) -> bool:
     kinds = [cells.kind(part, decimal) for part in parts if not re.fullmatch(r"[\[(<][-1][\])>]", part)]
     if cells.NUMBER in kinds or cells.STAMP in kinds or cells.TEXT not in kinds:
         return False
-    return not any(_is_setting(part) for part in parts)
+    settings = [part for part in parts if _is_setting(part)]
+    keys = {part.partition("=")[0] for part in settings}
+    levels = (
+        len({*settings}) == len(settings) > len(keys) == 1 and "=" in settings[0]
+    )  # a column for each: V, Vg=0 V, Vg=1 V
+    return not settings or (levels and len(settings) < len(parts))
 
 
 def _has_numbered_channels(parts: Sequence[str], decimal: str, below: Sequence[str]) -> bool:

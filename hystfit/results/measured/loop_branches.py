@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hystfit.models.shared.slopes import POINTS
-from hystfit.quality.faults import CLEAR
+from hystfit.quality.faults import CLEAR, noise_rms
 from hystfit.quality.held_out import correlation_length
 from hystfit.quality.loops import APART, LARGEST, SAME_LEVEL, reversals
 from hystfit.quality.shape import area_between, has_lobes
@@ -234,7 +234,7 @@ def crosses(pairs: Sequence[Pair], sigma: float) -> bool:
 def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_values: float = np.nan) -> Found:
     """Value where a level passes zero along a branch, and its standard error; without where it ends on the side where it began.
 
-    `sigma` is the noise of the level, `of_values` that of the values; where neither is known, the error is that between the samples.
+    `sigma` is the noise of the level, `of_values` that of the values; that of the input is not given, and is measured here.
     """
     passed = np.flatnonzero((level[:-1] < 0) != (level[1:] < 0))
     if passed.size % 2 == 0:
@@ -249,18 +249,43 @@ def crossing(level: np.ndarray, values: np.ndarray, sigma: float = np.nan, of_va
         known = np.isfinite(of_values)
         curved = _beside_chord(level, values, k) if known else _beside_chord(values, level, k) * per_level
         between = max(abs((level[k] / step) * (1 + level[k] / step) * curved), of_jump(level, values, k))
-        error = float(np.hypot(np.nansum([sigma * per_level, of_values]), between))
+        by_noise = (
+            _noise_beside(level, values, k)
+            if known
+            else float(np.hypot(np.nan_to_num(sigma) * per_level, _noise(values)))
+        )
+        error = math.hypot(np.nan_to_num(of_values), by_noise, between)
         rounding = np.finfo(float).eps * float(np.abs(values).max())
         return float(values[k] - level[k] * run / step), error if error > rounding else np.nan
     if not np.ptp(values[near]):  # an input that is switched between levels
         return NOT_FOUND
-    # Noise crosses zero several times: a straight line through the samples about it.
-    slope, offset = np.polyfit(values[near], level[near], 1)
+    return _along_line(level[near], values[near], sigma, _noise(values))
+
+
+def _along_line(level: np.ndarray, values: np.ndarray, sigma: float, of_values: float) -> Found:
+    """`crossing` where noise crosses zero several times: by a straight line through the samples about it, over the one with less noise."""
+    if of_values * np.std(level) > sigma * np.std(values):
+        slope, at = np.polyfit(level, values, 1)
+        spread = 1.0 / level.size + level.mean() ** 2 / float(np.sum((level - level.mean()) ** 2))
+        return float(at), float(np.hypot(of_values, sigma * slope) * np.sqrt(spread))
+    slope, offset = np.polyfit(values, level, 1)
     at = -offset / slope
-    spread = 1.0 / near.size + (at - values[near].mean()) ** 2 / max(
-        float(np.sum((values[near] - values[near].mean()) ** 2)), 1e-300
-    )
-    return float(at), float(sigma / abs(slope) * np.sqrt(spread))
+    spread = 1.0 / level.size + (at - values.mean()) ** 2 / max(float(np.sum((values - values.mean()) ** 2)), 1e-300)
+    return float(at), float(np.hypot(sigma / slope, of_values) * np.sqrt(spread))
+
+
+def _noise(values: np.ndarray) -> float:
+    """RMS noise of values along a branch; 0 where these are so sparse that it cannot be told from them."""
+    noise, is_bound = noise_rms(values)
+    return 0.0 if is_bound else noise or 0.0
+
+
+def _noise_beside(level: np.ndarray, values: np.ndarray, k: int) -> float:
+    """Error of values between the samples k and k + 1 by the noise of the level: times the slope over their neighbors and that noise."""
+    noise = _noise(level)
+    near = np.abs(level - 0.5 * (level[k] + level[k + 1])) <= CLEAR * noise
+    near[max(k - 1, 0) : k + 3] = True
+    return noise * abs(float(np.polyfit(level[near], values[near], 1)[0])) if noise else 0.0
 
 
 def of_jump(level: np.ndarray, values: np.ndarray, k: int) -> float:

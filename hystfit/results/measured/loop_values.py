@@ -21,6 +21,7 @@ from hystfit.params.units import loop_energy, quantity
 from hystfit.quality.coverage import is_switched
 from hystfit.quality.faults import noise_rms, printed_step, saturated_samples
 from hystfit.quality.loops import LARGEST, SAME_LEVEL
+from hystfit.quality.other_curves import is_remanence, is_remanence_curve
 from hystfit.quality.reversal_curves import recognize_family
 from hystfit.quality.summary import without_outliers
 from hystfit.reading.names.column_names import column_quantity
@@ -183,8 +184,11 @@ def _of_record(record: Record, sample: Sample, correct: Collection[str]) -> _Rea
     has_sheet = kind is LoopKind.MAGNETIC and not turns_light(record)
     magnetic = MagneticLoop.of(record, sample, sigma, correct) if has_sheet else None
     turns = turns_of(u)
-    if not turns.size:
-        rows = _of_quadrant(record, u, y, sigma)
+    if not turns.size or is_remanence_curve(record):
+        last = slice(
+            turns[-1] + 1 if turns.size else 0, None
+        )  # remanences after back fields, behind those of the acquisition
+        rows = _of_quadrant(record, u[last], y[last], sigma)
         return _with_data_sheet(rows, record, sample, correct, sigma, magnetic, closed=False)
     branches, pairs, cycles, duration = _loops_of(record, turns, kind, sigma)
     if not (pairs or cycles):
@@ -377,7 +381,7 @@ def _of_quadrant(record: Record, u: np.ndarray, y: np.ndarray, sigma: float) -> 
     found = []
     if field[-1] > slack and flux[-1] <= SAME_LEVEL * largest:
         at, error = crossing(flux, field, sigma)
-        label = "coercivity of remanence" if "remanen" in record.y_name.lower() else "coercivity"
+        label = "coercivity of remanence" if is_remanence(record) else "coercivity"
         at = at if np.isfinite(at) else float(field[-1])
         found.append(LoopValue("coercive_input", label, at, error, record.u_unit))
     if abs(u[rest]) <= slack:

@@ -215,7 +215,11 @@ def next_commands(result: FitResult, wording: Wording) -> list[str]:
     fit, loop = opened(result, wording.fit), wording.loop or loops_of(result.data)
     if result.status is Status.NO_LOOP:
         return [f"hystfit check {loop}"]
-    improve = [] if result.usable else [_joined("hystfit compare", loop, wording.split)]
+    apart = any(
+        note.code is Code.RECORDS_DIFFER and note.option is None for note in result.notes
+    )  # records of several files
+    each = _joined("hystfit batch", loop, shlex.join(["--model", result.name]))
+    improve = [] if result.usable else [each if apart else _joined("hystfit compare", loop, wording.split)]
     if not result.usable or any(note.code is Code.RATE and note.option is not None for note in result.notes):
         improve = [*_changed_fit(result, wording, loop), *improve]
     if not result.usable and result.status is not Status.ROUGH:
