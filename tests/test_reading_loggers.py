@@ -203,7 +203,9 @@ def test_days_of_a_spreadsheet_and_of_matlab(name: str, first: float, tmp_path: 
 def test_elapsed_times_whose_seconds_have_one_digit(tmp_path: Path) -> None:
     """As battery testers write them: the first nine seconds of a minute, and whole ones of none."""
     seconds = np.round(86395 + 0.25 * np.arange(N), 2)
-    clocks = [f"{s // 86400:.0f}d {s % 86400 // 3600:02.0f}:{s % 3600 // 60:02.0f}:{round(s % 60, 2):g}" for s in seconds]
+    clocks = [
+        f"{s // 86400:.0f}d {s % 86400 // 3600:02.0f}:{s % 3600 // 60:02.0f}:{round(s % 60, 2):g}" for s in seconds
+    ]
     assert {"0d 23:59:55", "1d 00:00:0", "1d 00:00:0.25"} <= set(clocks)
     record = one(tmp_path, "TestTime,Disp,Load\n" + rows(",", np.array(clocks), U, Y))
     is_pair(record)
