@@ -9,7 +9,6 @@ function is interpolated between a few nodes, so that each product is summed up 
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -135,8 +134,8 @@ class _Nodes:
         return out
 
 
-@functools.lru_cache(maxsize=8)  # lengths of records
 def _nodes(n: int) -> _Nodes:
+    """Nodes for records of n samples: every frequency of intervals that hold few of them, interpolation in the others."""
     angle = np.pi * np.arange(n) / n
     first = np.sqrt(np.where(angle > 0, 2.0, 1.0) / n) * np.cos(angle / 2)
     curvature, begin, count = 4 * np.sin(angle / 2) ** 2, 0, 0
